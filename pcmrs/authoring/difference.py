@@ -197,6 +197,7 @@ def _declarations(blueprint: Blueprint) -> dict[str, dict[str, Any]]:
     found |= {f"property.{promise.id}": _promise(promise) for promise in blueprint.properties}
     for name, branch in blueprint.branches.items():
         found[name] = {"start": branch.start, "flags": branch.flags}
+        found |= {f"{name}.timer {key}": msgspec.structs.asdict(timer) for key, timer in branch.timers.items()}
         found |= {f"{name}.[{state}]": _activity(branch.activities.get(state)) for state in branch.states}
     for branch_name, operation, spec in operations(blueprint):
         found[f"{branch_name}.{operation}"] = _declaration(spec)

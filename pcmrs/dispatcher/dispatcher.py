@@ -2,14 +2,14 @@
 
 `Dispatcher` is the surface, and `FollowUp` does what follows from a verdict. Each other idea behind it has a module:
 `_admission` (from command to pending command), `_performer` (checks and steps), `decisions` (journal and commit),
-`_activities` (what runs while a state is active), `stops` (Stop until the standstill), `recovery` (failure and
-resuming).
+`_activities` and `_timers` (what runs while a state is active), `stops` (Stop until the standstill), `recovery`
+(failure and resuming).
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Container, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, Generic
 
@@ -20,6 +20,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher._performer import Performer
+from pcmrs.dispatcher._timers import Timers
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import (
     SHUTDOWN,
@@ -57,6 +58,7 @@ class FollowUp(Generic[C, D]):
         recovery: Remembers the reports of devices that a failure has kept from being decided.
         outcomes: Unknown outcomes.
         activities: Follow the states.
+        timers: Follow the states and the accepted commands.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class FollowUp(Generic[C, D]):
         recovery: FailureRecovery[C, D],
         outcomes: PendingOutcomes,
         activities: Activities[C, D],
+        timers: Timers[C, D],
     ) -> None:
         self._coordinator = context.coordinator
         self._clock = context.clock
@@ -76,6 +79,7 @@ class FollowUp(Generic[C, D]):
         self._recovery = recovery
         self._outcomes = outcomes
         self._activities = activities
+        self._timers = timers
         self._listeners = context.listeners
 
     def on_completed(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
@@ -106,6 +110,7 @@ class FollowUp(Generic[C, D]):
         control.in_doubt = control.in_doubt and not completed.unlatches
         self._outcomes.follow(completed.command, verdict, self._clock.wall())
         self._activities.follow(completed.command)
+        self._timers.follow(completed.command, verdict)
         self._recovery.remember_missed(completed.command, verdict)
         if completed.run is not None and verdict.decision == "accepted":
             self._submit_posts(completed.command, completed.run)
@@ -142,6 +147,11 @@ class Dispatcher(Generic[C, D]):
         lease_required: True if somebody must hold the cell before commands are taken.
         planner: Asks the checks that plan motions; without one they are asked in the event loop.
         rejections: Decides which rejections get a row; without it all get one.
+        limits: The configuration's ``procedure.limits``, for the timers that name one of them; those that it lacks are
+            the workflow's defaults.
+
+    Raises:
+        ConfigurationError: A limit that a timer names cannot be its time.
 
     Attributes:
         procedure: States, flags and data of the procedure.
@@ -159,6 +169,7 @@ class Dispatcher(Generic[C, D]):
         lease_required: bool = False,
         planner: MotionChecker[C, D] | None = None,
         rejections: Rejections | None = None,
+        limits: Mapping[str, float] | None = None,
     ) -> None:
         self.procedure = Procedure(workflow)
         self._recorder = recorder
@@ -185,18 +196,19 @@ class Dispatcher(Generic[C, D]):
         verdicts = VerdictCache(recorder)
         decisions = Decisions(self.procedure, recorder, verdicts, self, rejections)
         self._activities = activities = Activities(context)
+        self._timers = timers = Timers(context, decisions, limits or {})
         self._performer = Performer(context, decisions, recorder, activities, Checks(context, planner))
         lease = Lease(clock, required=lease_required)
         self._admission = CommandAdmission(
             context, lease, self._stops, verdicts, decisions, self._performer, activities
         )
         self._stop_control = StopControl(context, self._stops, decisions, activities)
-        reconciliation = Reconciliation(self.procedure, verdicts, decisions, self._outcomes, activities)
+        reconciliation = Reconciliation(self.procedure, verdicts, decisions, self._outcomes, activities, timers)
         self._recovery = FailureRecovery(
             context, recorder, self._admission, self._stop_control, activities, reconciliation
         )
         self._follow_up = FollowUp(
-            context, self._admission, self._stop_control, self._recovery, self._outcomes, activities
+            context, self._admission, self._stop_control, self._recovery, self._outcomes, activities, timers
         )
 
     # -- state and listeners -------------------------------------------------------------------------------------------
@@ -379,6 +391,7 @@ class Dispatcher(Generic[C, D]):
         """End the procedure: the robot is held, running operations are stopped, and nothing more is accepted."""
         self._admission.broken = Reason(code=ENDING, text="The daemon is ending.")
         self._activities.close()
+        self._timers.close()
         if self._rejections is not None:
             self._rejections.report()
         await self.stop(SHUTDOWN)

@@ -26,6 +26,8 @@ PRESSED_AGAIN = "stop_pressed_again"
 ACTIVITY_STARTED, ACTIVITY_ENDED = "activity_started", "activity_ended"
 """Codes of the events that an activity is about to start, and that it has ended. The journal has the first before the
 activity moves anything, and the second after the robot stands or a motion has taken over."""
+TIMER_STARTED, TIMER_ENDED = "timer_started", "timer_ended"
+"""Codes of the events that a timer has begun, and that its state was left."""
 REOPENED = DeviceEvent(
     device="journal",
     code="journal_reopened",

@@ -198,6 +198,13 @@ class LockManager:
         waiting, self.waiting = self.waiting, []
         return sorted(waiting, key=lambda pending: not pending.spec.event)
 
+    def withdraw(self, verdict: asyncio.Future[Verdict]) -> PendingCommand | None:
+        """Take the command with this verdict out of the queue and return it; None if it does not wait."""
+        found = next((pending for pending in self.waiting if pending.verdict is verdict), None)
+        if found is not None:
+            self.waiting.remove(found)
+        return found
+
     def drain_commands(self) -> list[PendingCommand]:
         """Take all commands but events out of the queue and return them; events report what has happened already."""
         taken = [pending for pending in self.waiting if not pending.spec.event]

@@ -12,6 +12,7 @@ import structlog
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
+from pcmrs.dispatcher._timers import Timers
 from pcmrs.dispatcher.decisions import JOURNAL, Decisions
 from pcmrs.dispatcher.events import REOPENED, CompletedCommand, Recorder, failed
 from pcmrs.dispatcher.execution import ExecutionContext
@@ -120,6 +121,7 @@ class Reconciliation(Generic[C, D]):
         decisions: Has the unconfirmed commands.
         outcomes: Unknown outcomes.
         activities: Follow the commits.
+        timers: Follow the commits.
     """
 
     def __init__(
@@ -129,12 +131,14 @@ class Reconciliation(Generic[C, D]):
         decisions: Decisions[C, D],
         outcomes: PendingOutcomes,
         activities: Activities[C, D],
+        timers: Timers[C, D],
     ) -> None:
         self._procedure = procedure
         self._verdict_cache = verdict_cache
         self._decisions = decisions
         self._outcomes = outcomes
         self._activities = activities
+        self._timers = timers
 
     async def of_all(self, in_flight: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
         """Settle the unconfirmed commands one after the other, and yield the verdicts that count instead.
@@ -173,6 +177,7 @@ class Reconciliation(Generic[C, D]):
         command = completed.command
         self._decisions.commit_recorded(completed, recorded)
         self._activities.follow(command)
+        self._timers.follow(command, recorded)
         if recorded.decision != "unknown":
             self._outcomes.withdraw(command.source, command.id)
         if recorded.decision == "accepted":
@@ -270,14 +275,14 @@ class FailureRecovery(Generic[C, D]):
         await self._stop_control.take_standstill(number, REOPENED.device, stands=stands)
 
     def remember_missed(self, command: Command, verdict: Verdict) -> None:
-        """Remember the report of a device that could not be decided: it is still true after the failure.
+        """Remember the event of a device or timer that could not be decided: it is still true after the failure.
 
         Args:
-            command: The command of the device.
+            command: The command of the device or timer.
             verdict: The verdict on it.
         """
         broken = self._admission.broken is not None
-        if broken and verdict.decision != "accepted" and command.source.startswith("device:"):
+        if broken and verdict.decision != "accepted" and command.source.startswith(("device:", "timer:")):
             self._missed[command.branch, command.operation] = command
 
     async def _reconcile(self, in_flight: Container[tuple[str, str]]) -> None:

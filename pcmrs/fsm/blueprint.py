@@ -24,6 +24,7 @@ __all__ = [
     "ProvenanceSpec",
     "RevocationSpec",
     "SequenceSpec",
+    "TimerSpec",
 ]
 
 Motion = Literal["none", "approach", "retreat"]
@@ -254,6 +255,38 @@ class ActivitySpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fiel
     moves: bool = False
 
 
+class TimerSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Event that is posted when a branch has been in a state for some time: a time event of UML state machines.
+
+    Attributes:
+        states: States that it runs in: it begins when the branch enters one of them, and ends when that is left.
+        after_s: Time from its beginning to its event, s of the cell's clock; or the name of the limit in the
+            configuration, ``procedure.limits``, that has this time. The `defaults` of the workflow give that limit.
+        posts: Event operation of the branch that is posted then.
+        repeat: It begins again each time that operation is accepted in the same state.
+        restarted_by: Operations, ``branch.operation``, each of which begins it again when it is accepted.
+    """
+
+    states: list[str]
+    after_s: float | str
+    posts: str
+    repeat: bool = False
+    restarted_by: list[str] = []
+
+    @property
+    def when(self) -> str:
+        """Its time as UML writes a time event: ``after 600 s``, or ``after idle_s`` for a limit."""
+        return f"after {self.after_s}" if isinstance(self.after_s, str) else f"after {self.after_s:g} s"
+
+    def begins_again(self, branch: str) -> list[str]:
+        """Return the operations, ``branch.operation``, that begin it again when they are accepted and keep its state.
+
+        Args:
+            branch: Its branch.
+        """
+        return [*self.restarted_by, *([f"{branch}.{self.posts}"] if self.repeat else [])]
+
+
 class BranchSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One State Branch (SB).
 
@@ -264,6 +297,7 @@ class BranchSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields
         flags: Names of the digits of the states, mirrored for display.
         emits: For each state, the parent's operation called on a change to it (Rule 2); ``"*"`` for all not named.
         activities: State to the function that runs while the branch is in it.
+        timers: Timers that run while the branch is in their states.
     """
 
     level: int = 1
@@ -275,6 +309,7 @@ class BranchSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields
     parent: ParentSpec | None = None
     emits: dict[str, str] = {}
     activities: dict[str, ActivitySpec] = {}
+    timers: dict[str, TimerSpec] = {}
     revocations: list[RevocationSpec] = []
 
     @property
@@ -286,6 +321,10 @@ class BranchSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields
     def rio(self) -> str | None:
         """Name of the re-initiation operation, if there is one."""
         return next((name for name, operation in self.operations.items() if operation.rio), None)
+
+    def timers_in(self, state: str) -> dict[str, TimerSpec]:
+        """Return the timers that run while the branch is in a state."""
+        return {name: timer for name, timer in self.timers.items() if state in timer.states}
 
     def valid_in(self, operation: str, state: str) -> bool:
         """Return true if the operation may be performed in the state.

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.fsm._state import State
-from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, BranchSpec, OperationSpec
+from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, BranchSpec, OperationSpec, TimerSpec
 
 RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | {"active", "self"}
 """Names that an operation or branch cannot have: the state classes use them."""
@@ -108,6 +108,8 @@ def _state_class(name: str, branch: BranchSpec, state: str) -> Iterator[str]:
     yield f"    {_docstring(branch.states[state])}"
     if activity := branch.activities.get(state):
         yield f"    # do / {_shown(activity)}"
+    for timer in branch.timers_in(state).values():
+        yield f"    # {_shown_timer(timer)}"
     yield from ("", f"    name = {_literal(state)}", f"    meaning = {_literal(branch.states[state])}")
     for key in branch.operations:
         if branch.valid_in(key, state):
@@ -117,6 +119,11 @@ def _state_class(name: str, branch: BranchSpec, state: str) -> Iterator[str]:
 def _shown(activity: ActivitySpec) -> str:
     moves = ", which moves the robot" if activity.moves else ""
     return f"{activity.run}{moves}; when that ends by itself, {activity.ended}"
+
+
+def _shown_timer(timer: TimerSpec) -> str:
+    by = f"; restarted by {', '.join(timer.restarted_by)}" if timer.restarted_by else ""
+    return f"{timer.when} / {timer.posts}{', repeated' if timer.repeat else ''}{by}"
 
 
 def _index(blueprint: Blueprint) -> Iterator[str]:

@@ -15,7 +15,7 @@ COMPARED: tuple[RowKind, ...] = ("intent", "outcome", "device")
 """Kinds of rows that the dispatcher writes; the daemon itself writes the others."""
 
 _DRAWN = re.compile(r"-[0-9a-f]{32}$")
-_DRAWS_IDS = ("device:", "activity:")
+_DRAWS_IDS = ("device:", "activity:", "timer:")
 
 
 class RowKey(NamedTuple):
@@ -101,7 +101,7 @@ def is_rejection(row: JournalRow) -> bool:
 
 
 def is_rejected_report(row: JournalRow) -> bool:
-    """Return whether the row rejects a report of a device or activity; only older journals have such rows."""
+    """Return whether the row rejects a report of a device, activity or timer; only older journals have such rows."""
     return is_rejection(row) and (row.source or "").startswith(_DRAWS_IDS)
 
 

@@ -67,6 +67,7 @@ class JournalPlayer:
             self._holds.hold,
             release=self._holds.release,
             lease_required=lease_required,
+            limits=cell.settings.limits,
         )
         self._tasks: list[asyncio.Task[Any]] = []
         activities = (
@@ -181,7 +182,7 @@ class JournalPlayer:
             return
         self.recorder.release(index)
         await self._idle()
-        if not source.startswith("activity:"):
+        if not source.startswith(("activity:", "timer:")):  # the dispatcher itself reports what follows from a commit
             fields = result.get("fields", {})
             event = DeviceEvent(device=source, code=row.operation or "", text=result.get("text", ""), fields=fields)
             self._spawn(self.dispatcher.report(event))

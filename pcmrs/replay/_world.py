@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any
 
@@ -50,7 +51,10 @@ class ReplayCell(Cell):
 
 
 class RowsClock:
-    """Implementation of `pcmrs.clock.Clock` for the dispatcher: it shows the time of a row, and no deadline expires."""
+    """Implementation of `pcmrs.clock.Clock` for the dispatcher: it shows the time of a row.
+
+    No deadline expires, and no timer: the rows have what followed from those that did.
+    """
 
     def __init__(self) -> None:
         self._monotonic = self._wall = 0.0
@@ -65,8 +69,8 @@ class RowsClock:
     def wall(self) -> float:
         return self._wall
 
-    async def sleep(self, seconds: float) -> None:
-        raise NotJournalledError(f"sleep of {seconds} s")
+    async def sleep(self, seconds: float) -> None:  # noqa: ARG002 (it ends when it is cancelled)
+        await asyncio.get_running_loop().create_future()
 
     def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:  # noqa: ARG002 (what waits is ended by rows)
         return nullcontext()
@@ -80,3 +84,6 @@ class ReplayClock(RowsClock):
 
     def wall(self) -> float:
         raise NotJournalledError("wall")
+
+    async def sleep(self, seconds: float) -> None:
+        raise NotJournalledError(f"sleep of {seconds} s")

@@ -58,7 +58,7 @@ __all__ = ["SessionReport", "read_report"]
 
 LONGEST_PAUSE: Final = 3600.0
 """Largest pause, s, after which a run continues the session of one of the same patient that did not end in order."""
-ROUTINE: Final = frozenset({"activity_started", "activity_ended"})
+ROUTINE: Final = frozenset({"activity_started", "activity_ended", "timer_started", "timer_ended"})
 """Codes of events that are routine."""
 STOPPED: Final = "stopped"
 """Code of a requested Stop."""

@@ -122,6 +122,7 @@ class RunningProcedure(DispatcherListener):
             lease_required=settings.access.is_open,
             planner=planner,
             rejections=Rejections(clocks.machine),
+            limits=settings.procedure.limits,
         )
         self.dispatcher.add_listener(self)
         self.command_metrics = CommandMetrics(self.dispatcher.submit, clocks.machine)

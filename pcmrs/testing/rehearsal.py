@@ -129,14 +129,14 @@ class NullRecorder:
 
 
 def scripted(blueprint: Blueprint, script: ScriptedSteps, *, outside: bool) -> Workflow[None, ProcedureData]:
-    """Return the workflow with scripted checks and steps, and without activities.
+    """Return the workflow with scripted checks and steps, and without activities and timers.
 
     Args:
         blueprint: Workflow.
         script: Behaviour of checks and steps.
         outside: True if the steps have side effects, so that they are tasks with deadlines.
     """
-    still = {name: replace(branch, activities={}) for name, branch in blueprint.branches.items()}
+    still = {name: replace(branch, activities={}, timers={}) for name, branch in blueprint.branches.items()}
     blueprint = replace(blueprint, branches=still)
     registry: Registry[None, ProcedureData] = Registry()
     specs = [spec for branch in blueprint.branches.values() for spec in branch.operations.values()]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pcmrs.authoring.chart._arrows import Arrow, StateRef, arrows
 from pcmrs.authoring.chart._links import BranchLink
 from pcmrs.authoring.chart._row import CAPTION_COLUMNS, Port, StateRow, row
-from pcmrs.authoring.chart._text import activity_line, flow
+from pcmrs.authoring.chart._text import flow, inner_lines
 from pcmrs.fsm.blueprint import BranchSpec
 
 
@@ -53,7 +53,7 @@ def column(name: str, branch: BranchSpec, links: Iterable[BranchLink]) -> StateC
     order = {state: number for number, state in enumerate(branch.states)}
     loops = {arrow.target: arrow.words for arrow in drawn if arrow.loops}
     rows = {
-        state: row(state, meaning, activity_line(branch, state), loops.get(state, []))
+        state: row(state, meaning, inner_lines(branch, state), loops.get(state, []))
         for state, meaning in branch.states.items()
     }
     straight = {arrow.sources[0]: (arrow, caption(arrow)) for arrow in drawn if _steps_down(arrow, order)}

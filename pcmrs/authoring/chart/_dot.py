@@ -9,7 +9,7 @@ from pcmrs.authoring.chart._arrows import Kind, StateRef, edges
 from pcmrs.authoring.chart._canvas import STROKES
 from pcmrs.authoring.chart._current import check_current
 from pcmrs.authoring.chart._links import BranchLink, links
-from pcmrs.authoring.chart._text import activity_line, clean
+from pcmrs.authoring.chart._text import clean, inner_lines
 from pcmrs.fsm.blueprint import Blueprint
 
 _HEADER = """digraph {id} {{
@@ -44,7 +44,7 @@ def _cluster(blueprint: Blueprint, name: str, current: Mapping[str, str]) -> Ite
     yield f"  {_mark(name, 'start')} [shape=point, fillcolor=black, width=0.12];"
     for state, meaning in branch.states.items():
         looks = ', fillcolor="#ffe08a", penwidth=3' if current.get(name) == state else ""
-        label = _quoted(state, meaning, activity_line(branch, state))
+        label = _quoted(state, meaning, *inner_lines(branch, state))
         yield f"  {_node(StateRef(name, state))} [label={label}{looks}];"
     yield f"  {_mark(name, 'start')} -> {_node(StateRef(name, branch.start))};"
     drawn = edges(name, branch)

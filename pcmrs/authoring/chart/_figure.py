@@ -99,9 +99,9 @@ def _state(into: Element, panel: Panel, state: str, row: StateRow, meaning: str,
     for words in row.meaning:
         y += LINE
         sans(drawn, middle, y + 2, words, MEANING, text_anchor="middle")
-    if row.activity:
+    for words in row.inner:
         y += LINE
-        text(drawn, middle, y + 2, row.activity, LABEL, text_anchor="middle")
+        text(drawn, middle, y + 2, words, LABEL, text_anchor="middle")
     _loops(drawn, panel, row, y + 5)
 
 

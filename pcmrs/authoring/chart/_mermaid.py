@@ -1,7 +1,7 @@
 """The state chart as Mermaid ``stateDiagram-v2`` text: branches are composite states side by side.
 
 Mermaid draws no arrows between the inner states of different composite states, so Rules 2 and 3
-are notes, and so are activities. Capital letters in its names keep them apart from those of the workflow.
+are notes, and so are activities and timers. Capital letters in its names keep them apart from those of the workflow.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pcmrs.authoring.chart._arrows import StateRef, edges
 from pcmrs.authoring.chart._current import check_current
 from pcmrs.authoring.chart._links import BranchLink, links
-from pcmrs.authoring.chart._text import activity_line, clean
+from pcmrs.authoring.chart._text import clean, inner_lines
 from pcmrs.fsm.blueprint import Blueprint
 
 _SPECIAL = re.compile(r"[^\w ,.()/=*+-]")
@@ -49,8 +49,8 @@ def _states(blueprint: Blueprint, name: str) -> Iterator[str]:
     for state, meaning in branch.states.items():
         label = f"{state} ({meaning})" if meaning else state
         yield f'state "{_escaped(label)}" as {_id(StateRef(name, state))}'
-        if state in branch.activities:
-            yield f"note right of {_id(StateRef(name, state))} : {_escaped(activity_line(branch, state))}"
+        for line in inner_lines(branch, state):
+            yield f"note right of {_id(StateRef(name, state))} : {_escaped(line)}"
     drawn = edges(name, branch)
     if not all(edge.sources for edge in drawn):
         yield f'state "any state" as {name}_ANY'

@@ -53,7 +53,7 @@ class StateRow:
     Attributes:
         state: Its name.
         meaning: Lines of its meaning.
-        activity: Line about its activity; empty if it has none.
+        inner: Lines about its activity and timers.
         loops: Lines with the operations that keep it.
         left: Ports at the left edge, from the top.
         right: Ports at the right edge, from the top.
@@ -63,7 +63,7 @@ class StateRow:
 
     state: str
     meaning: list[str]
-    activity: str
+    inner: list[str]
     loops: list[str]
     left: list[Port] = field(default_factory=list)
     right: list[Port] = field(default_factory=list)
@@ -80,13 +80,13 @@ class StateRow:
         """Width that its texts need, in px."""
         name = mono_width(self.state, NAME)
         meaning = widest(sans_width(line, MEANING) for line in self.meaning)
-        activity = mono_width(self.activity, LABEL)
-        return max(name, meaning, activity, 14 + widest(mono_width(line, LABEL) for line in self.loops)) + 2 * _MARGIN
+        inner = widest(mono_width(line, LABEL) for line in self.inner)
+        return max(name, meaning, inner, 14 + widest(mono_width(line, LABEL) for line in self.loops)) + 2 * _MARGIN
 
     @property
     def text_height(self) -> float:
         """Height that its texts need, in px."""
-        lines = len(self.meaning) + bool(self.activity) + len(self.loops)
+        lines = len(self.meaning) + len(self.inner) + len(self.loops)
         return NAME + LINE * lines + 3 * bool(self.loops)
 
     def place(self, y: float) -> None:
@@ -100,19 +100,18 @@ class StateRow:
                 port.y = top - _BARE / 2
 
 
-def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> StateRow:
+def row(state: str, meaning: str, inner: Sequence[str], loops: Sequence[str]) -> StateRow:
     """Return a state without ports.
 
     Args:
         state: Its name.
         meaning: Its meaning.
-        activity: The line about its activity; may be empty.
+        inner: The lines about its activity and timers.
         loops: The operations that keep it.
     """
     lines = wrap(clean(meaning), MEANING_COLUMNS, MEANING_LINES)
-    return StateRow(
-        cut(clean(state), NAME_COLUMNS), lines, cut(clean(activity), NAME_COLUMNS), flow(loops, CAPTION_COLUMNS)
-    )
+    inside = [cut(clean(line), NAME_COLUMNS) for line in inner]
+    return StateRow(cut(clean(state), NAME_COLUMNS), lines, inside, flow(loops, CAPTION_COLUMNS))
 
 
 def _total(ports: Sequence[Port]) -> float:

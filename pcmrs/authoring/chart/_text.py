@@ -86,15 +86,16 @@ def flow(words: Sequence[str], columns: int) -> list[str]:
     return lines
 
 
-def activity_line(branch: BranchSpec, state: str) -> str:
-    """Return the activity of a state, as UML writes it: ``do / follow_head``; empty if it has none.
+def inner_lines(branch: BranchSpec, state: str) -> list[str]:
+    """Return activity and timers of a state, as UML writes them: ``do / follow_head``, ``after 600 s / idle``.
 
     Args:
         branch: The branch.
         state: One of its states.
     """
     activity = branch.activities.get(state)
-    return "" if activity is None else f"do / {activity.run}"
+    timers = (f"{timer.when} / {timer.posts}" for timer in branch.timers_in(state).values())
+    return [*([] if activity is None else [f"do / {activity.run}"]), *timers]
 
 
 def widest(widths: Iterable[float]) -> float:

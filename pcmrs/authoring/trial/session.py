@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterator
 
@@ -13,6 +14,7 @@ from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Change, Closure, Denial, Effect
 from pcmrs.fsm.engine import Engine
 from pcmrs.fsm.finding import hint
+from pcmrs.fsm.timers import RunningTimer, TimerSchedule
 
 WORDS = {
     "operation": "{branch}: {source} → {target}",
@@ -23,17 +25,26 @@ WORDS = {
 }
 """Texts of each kind of effect."""
 
+WAITED = "waited"
+"""Decision of a step in which only time has passed."""
+
+MOST_EXPIRIES = 1000
+"""Limit of the events of timers in one wait."""
+
 
 class TrialStep(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One command and its result.
 
     Attributes:
-        command: ``branch.operation`` or ``branch.operation:ending``.
-        decision: ``accepted``, ``failed``, ``unknown`` or ``rejected``.
+        command: ``branch.operation`` or ``branch.operation:ending``; ``wait <seconds>`` if only time has passed.
+        decision: ``accepted``, ``failed``, ``unknown``, ``rejected`` or ``waited``.
         code: Code of a rejection.
         text: Reason of the rejection.
         effects: Its effects, in order.
         states: The joint state after it.
+        at: Its time, s from the start; 0 in a workflow without timers.
+        by: The timer that has posted it, ``branch.timer``; empty for a person or device.
+        timers: Timers that run after it, with the time until their events, s.
     """
 
     command: str
@@ -42,12 +53,17 @@ class TrialStep(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     text: str = ""
     effects: tuple[Effect, ...] = ()
     states: dict[str, str]
+    at: float = 0.0
+    by: str = ""
+    timers: dict[str, float] = {}
 
     def lines(self) -> list[str]:
         """Return its result in words: the reason for a rejection, or every effect."""
         if self.decision == "rejected":
             return [f"{self.code}: {self.text}"]
-        return [_describe_effect(effect) for effect in self.effects] or ["nothing changes"]
+        effects = [_describe_effect(effect) for effect in self.effects] or ["nothing changes"]
+        timers = [f"timer {name}: {left:g} s left" for name, left in self.timers.items()]
+        return [*([] if self.decision == WAITED else effects), *timers]
 
 
 class SimulationSession:
@@ -64,6 +80,9 @@ class SimulationSession:
         self.blueprint = blueprint
         self.steps: list[TrialStep] = []
         self._engine = Engine(blueprint)
+        self._schedule = TimerSchedule(blueprint, {})
+        self._now = 0.0
+        self._before: list[tuple[float, dict[str, RunningTimer]]] = []
 
     def states(self) -> dict[str, str]:
         """Return the present joint state."""
@@ -79,10 +98,33 @@ class SimulationSession:
         Raises:
             RefusalError: There is no such command, or it does not name the ending of the operation.
         """
-        step = self._step(command)
-        self._engine.place(step.states)
-        self.steps.append(step)
-        return step
+        return self._take(self._step(command))
+
+    def wait(self, seconds: float) -> list[TrialStep]:
+        """Let time pass; return the steps of the timers that expire, the earliest first, and then the rest of the wait.
+
+        Args:
+            seconds: The time, s.
+
+        Raises:
+            RefusalError: It is not a time, or timers would expire more than `MOST_EXPIRIES` times. Nothing changes.
+        """
+        if not 0.0 < seconds < math.inf:
+            raise RefusalError("bad_time", f"{seconds:g} s is no time to wait: give seconds above 0, such as wait 60.")
+        until, taken = self._now + seconds, len(self.steps)
+        while (due := self._schedule.next_due) is not None and due <= until:
+            if len(self.steps) - taken >= MOST_EXPIRIES:
+                while len(self.steps) > taken:
+                    self.undo()
+                text = f"Timers would expire more than {MOST_EXPIRIES} times in {seconds:g} s: wait for less."
+                raise RefusalError("too_many_expiries", text, limit=MOST_EXPIRIES)
+            self._expire(due)
+        if until > self._now or taken == len(self.steps):
+            waited = TrialStep(command=f"wait {until - self._now:g}", decision=WAITED, states=self.states())
+            self._remember()
+            self._now = until
+            self._add(waited)
+        return self.steps[taken:]
 
     def denial(self, name: str) -> Denial | None:
         """Return why ``branch.operation`` is denied now, or None if it is allowed.
@@ -97,6 +139,7 @@ class SimulationSession:
         """Take the last command back; return false if there is none."""
         if self.steps:
             self.steps.pop()
+            self._now, self._schedule.running = self._before.pop()
             self._engine.place(self.steps[-1].states if self.steps else self.blueprint.initial())
             return True
         return False
@@ -104,6 +147,8 @@ class SimulationSession:
     def reset(self) -> None:
         """Go back to the start."""
         self.steps.clear()
+        self._before.clear()
+        self._now, self._schedule.running = 0.0, {}
         self._engine.place(self.blueprint.initial())
 
     def random_walk(self, count: int, seed: int) -> Iterator[TrialStep]:
@@ -118,6 +163,36 @@ class SimulationSession:
         for _ in range(count if available else 0):
             branch, operation = dice.choice(available)
             yield self.ask(dice.choice(self._commands(branch, operation) or [f"{branch}.{operation}"]))
+
+    def _expire(self, due: float) -> None:
+        """Post the event of the timer that is due first."""
+        timer = min((each for each in self._schedule.running.values() if not each.expired), key=lambda each: each.due)
+        step = self._step(f"{timer.branch}.{timer.posts}")
+        self._remember()
+        self._now = due
+        self._schedule.running[timer.key] = msgspec.structs.replace(timer, expired=True)
+        self._follow(step, by=timer.key)
+
+    def _take(self, step: TrialStep) -> TrialStep:
+        self._remember()
+        return self._follow(step)
+
+    def _remember(self) -> None:
+        self._before.append((self._now, dict(self._schedule.running)))
+
+    def _follow(self, step: TrialStep, by: str = "") -> TrialStep:
+        """Move on to the joint state after a step, end and begin timers, and add it."""
+        self._engine.place(step.states)
+        name = step.command.partition(":")[0]
+        self._schedule.follow(step.states, self._now, name if step.decision == "accepted" else "")
+        return self._add(msgspec.structs.replace(step, by=by))
+
+    def _add(self, step: TrialStep) -> TrialStep:
+        running = (each for each in self._schedule.running.values() if not each.expired)
+        timers = {each.key: round(each.due - self._now, 6) for each in running}
+        timed = any(branch.timers for branch in self.blueprint.branches.values())
+        self.steps.append(msgspec.structs.replace(step, at=self._now if timed else 0.0, timers=timers))
+        return self.steps[-1]
 
     def _available(self) -> list[tuple[str, str]]:
         """Return the operations that a person or a device may ask for."""

@@ -25,6 +25,7 @@ HELP = """\
 <number>                    ask for that line of the list
 <branch.operation>          ask for an operation; it must have one outcome only
 <branch.operation:ending>   ask for it, with its ending: an outcome, failed or unknown
+wait <seconds>              let time pass: timers expire, and post their events
 why <branch.operation>      why it is refused now
 state                       the states, and all possible commands
 undo, reset                 take the last command back, or all of them
@@ -68,6 +69,8 @@ def _converse(walk: SimulationSession, show: Callable[[TrialStep], None], *, tab
             return
         if word == "state":
             _show_state(walk)
+        elif word == "wait":
+            _wait(walk, rest.strip(), show)
         elif word in REPLIES:
             say_lines(REPLIES[word](walk, rest.strip()))
         elif line:
@@ -94,6 +97,21 @@ def _ask(walk: SimulationSession, line: str, show: Callable[[TrialStep], None]) 
         show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
     except RefusalError as error:
         say(error.text, err=True)
+
+
+def _wait(walk: SimulationSession, seconds: str, show: Callable[[TrialStep], None]) -> None:
+    try:
+        for step in walk.wait(_seconds(seconds)):
+            show(step)
+    except RefusalError as error:
+        say(error.text, err=True)
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise RefusalError("bad_time", f"{text!r} cannot be a time: give seconds, for example wait 60.") from None
 
 
 def _chosen(choices: list[str], number: int) -> str:
@@ -136,7 +154,9 @@ def _show_json(step: TrialStep) -> None:
 
 
 def _show(step: TrialStep) -> None:
-    say(f"{step.command}: {step.decision}")
+    at = f"{step.at:g} s: " if step.by or step.decision == "waited" else ""
+    by = f", by timer {step.by}" if step.by else ""
+    say(f"{at}{step.command}: {step.decision}{by}")
     for line in step.lines():
         say(f"    {line}")
 

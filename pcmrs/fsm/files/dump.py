@@ -14,7 +14,7 @@ from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 __all__ = ["blueprint_toml"]
 
 LONGEST_LINE = 120
-HEADED = frozenset({"branches", "operations", "states", "parent", "sequence", "activities"})
+HEADED = frozenset({"branches", "operations", "states", "parent", "sequence", "activities", "timers"})
 HEADED_MEMBERS = frozenset({"branches", "operations", "outcomes"})
 
 Path = tuple[str, ...]

@@ -182,13 +182,20 @@ def content_hash(blueprint: Blueprint) -> str:
 
 
 OPERATION_FIELDS = msgspec.structs.fields(OperationSpec)
+BRANCH_FIELDS = msgspec.structs.fields(BranchSpec)
 
 FIRST_NAMES = {"affects_patient": "acts"}
 """Keys that were renamed: journals name the hash, which must not change when a key is only renamed."""
 
 
 def _hashed_branch(branch: BranchSpec) -> Any:
-    return msgspec.structs.replace(branch, operations={key: _hashed(each) for key, each in branch.operations.items()})
+    """Return a branch with its operations as they are hashed, without `timers`, a later key, if it has none."""
+    operations = {key: _hashed(each) for key, each in branch.operations.items()}
+    hashed = msgspec.structs.replace(branch, operations=operations)
+    named = {each.encode_name: getattr(hashed, each.name) for each in BRANCH_FIELDS if each.name != "timers"}
+    named |= {"timers": branch.timers} if branch.timers else {}
+    encoded = {key: msgspec.Raw(msgspec.json.encode(value, order="deterministic")) for key, value in named.items()}
+    return msgspec.Raw(msgspec.json.encode(encoded))
 
 
 def _hashed(operation: OperationSpec) -> msgspec.Raw:

@@ -1,4 +1,4 @@
-"""Static rules of a blueprint: names, references, shapes, activities, and Rules 1 to 3."""
+"""Static rules of a blueprint: names, references, shapes, activities, timers, and Rules 1 to 3."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pcmrs.fsm.rules._activities import check_activities
 from pcmrs.fsm.rules._levels import check_levels
 from pcmrs.fsm.rules._references import check_references
 from pcmrs.fsm.rules._shapes import check_shapes
+from pcmrs.fsm.rules._timers import check_timers
 from pcmrs.fsm.rules.names import check_names
 
 __all__ = ["check_rules"]
@@ -21,7 +22,7 @@ def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
     Args:
         blueprint: Expanded workflow, see `pcmrs.fsm.files.sequence`.
     """
-    for check in (check_names, check_references, check_shapes, check_activities, check_levels):
+    for check in (check_names, check_references, check_shapes, check_activities, check_timers, check_levels):
         findings = list(check(blueprint))
         yield from findings
         if findings:

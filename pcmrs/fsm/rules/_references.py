@@ -19,6 +19,12 @@ def check_references(blueprint: Blueprint) -> Iterator[Finding]:
             where = (*path, "activities", state)
             yield from _states_exist(blueprint, {name: [state]}, where)
             yield from _operation_exists(blueprint, f"{name}.{activity.ended}", (*where, "ended"))
+        for key, timer in branch.timers.items():
+            where = (*path, "timers", key)
+            yield from _states_exist(blueprint, {name: timer.states}, (*where, "states"))
+            yield from _operation_exists(blueprint, f"{name}.{timer.posts}", (*where, "posts"))
+            for restarting in timer.restarted_by:
+                yield from _operation_exists(blueprint, restarting, (*where, "restarted_by"))
         for index, revocation in enumerate(branch.revocations):
             where = (*path, "revocations", str(index))
             for by in revocation.by:

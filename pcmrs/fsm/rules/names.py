@@ -37,6 +37,8 @@ def check_names(blueprint: Blueprint) -> Iterator[Finding]:
                 yield from _name(outcome, f"an outcome of {name}.{operation}", (*where, "outcomes", outcome), ENDINGS)
         for state, activity in branch.activities.items():
             yield from _name(activity.run, f"an activity of {name}", (*path, "activities", state, "run"))
+        for timer in branch.timers:
+            yield from _name(timer, f"a timer of {name}", (*path, "timers", timer))
         other = classes.setdefault(class_name(name), name)
         if other != name:
             text = f"The branches {other} and {name} would have the same class {class_name(name)}: rename one."

@@ -21,6 +21,7 @@ ALWAYS_CHECKED = (_structure.denials, _structure.revocations)
 CHECKED_IF_COMPLETE = (
     _structure.unused,
     _structure.activities,
+    _structure.timers,
     _liveness.deadlocks,
     _liveness.goals,
     _liveness.releases,

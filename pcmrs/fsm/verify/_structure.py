@@ -58,6 +58,22 @@ def activities(space: StateSpace) -> Iterator[Finding]:
             yield Finding(code="activity_stuck", text=text, path=path, commands=way)
 
 
+def timers(space: StateSpace) -> Iterator[Finding]:
+    """Find timers that may expire where the event that they post is denied: nobody would notice."""
+    for operation in space.operations:
+        branch = space.blueprint.branches[operation.branch]
+        for name, timer in branch.timers.items():
+            if timer.posts != operation.operation:
+                continue
+            stuck = (each for each in operation.known if each.seen[operation.branch] in timer.states)
+            decision = next((each for each in stuck if not each.accepted), None)
+            if decision is not None:
+                text = f"The timer {name} of {operation.branch} {decision.seen[operation.branch]} may expire where "
+                text += f"{operation.operation} is denied: that operation must never be refused in that state."
+                path, way = ("branches", operation.branch, "timers", name), space.path_to(space.nearest(decision))
+                yield Finding(code="timer_stuck", text=text, path=path, commands=way)
+
+
 def revocations(space: StateSpace) -> Iterator[Finding]:
     """Find revocations of one branch that hold at once and disagree; the file alone shows it."""
     for name, branch in space.blueprint.branches.items():

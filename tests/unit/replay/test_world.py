@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from pcmrs.errors import PcmrsError
 from pcmrs.replay._world import NotJournalledError, ReplayCell, ReplayClock, RowsClock
+from pcmrs.testing.clock import settle
 from pcmrs.workflows.settings import CalibrationSettings, ProcedureSettings
 from tests.unit.replay.rows import event
 
@@ -41,8 +44,19 @@ async def test_the_dispatcher_sees_the_times_of_rows_and_no_deadline() -> None:
     assert (clock.monotonic(), clock.wall()) == (10.0, 1.8e9)
     async with clock.timeout(0.0):
         pass
+
+
+async def test_a_timer_of_the_dispatcher_never_expires() -> None:
+    """What followed when it did is in the rows."""
+    waiting = asyncio.ensure_future(RowsClock().sleep(0.0))
+    await settle()
+    assert not waiting.done()
+    waiting.cancel()
+
+
+async def test_checks_and_steps_cannot_wait() -> None:
     with pytest.raises(NotJournalledError, match="sleep of 2"):
-        await clock.sleep(2.0)
+        await ReplayClock().sleep(2.0)
 
 
 def test_checks_and_steps_cannot_read_a_time() -> None:

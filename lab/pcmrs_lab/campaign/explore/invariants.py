@@ -230,6 +230,11 @@ def only_changes_leave_rows(view: View, _event: ObservedEvent) -> str | None:
     return f"{view.needless_rows[0]}, was rejected, and journalled." if view.needless_rows else None
 
 
+def timers_keep_their_time(view: View, _event: ObservedEvent) -> str | None:
+    """Check 6: the event of a timer counts only while the timer runs, and when its time has passed."""
+    return f"{view.early_timers[0]}, was accepted too early." if view.early_timers else None
+
+
 def performed_once(view: View, event: ObservedEvent) -> str | None:
     """Check 14: a repeat of (source, id) runs nothing.
 
@@ -343,7 +348,13 @@ INVARIANTS: Mapping[type[ObservedEvent], tuple[Invariant, ...]] = {
         sequence_never_goes_back,
         starts_with_nothing,
     ),
-    Verdict: (durable_before_known, only_changes_leave_rows, performed_once, rejection_changes_nothing),
+    Verdict: (
+        durable_before_known,
+        only_changes_leave_rows,
+        timers_keep_their_time,
+        performed_once,
+        rejection_changes_nothing,
+    ),
     DeviceEvent: (danger_latches,),
     Moved: (nothing_moves_unasked, stop_holds),
     Fired: (fires_only_armed_and_placed,),

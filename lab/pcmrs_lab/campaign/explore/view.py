@@ -6,15 +6,20 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from pcmrs.dispatcher.events import TIMER_ENDED, TIMER_STARTED
 from pcmrs.dispatcher.verdict_cache import ID_REUSED
 from pcmrs.fsm import Blueprint
-from pcmrs.journal import JournalReader
+from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.messages import Command, DeviceEvent, JointState, Snapshot, Verdict
 
 PULSES = ("stimulation.fire", "hotspot.pulse", "threshold.pulse")
 REGISTERING = ("register", "refine", "use_previous")
-INSIDE = ("device:", "activity:")
+INSIDE = ("device:", "activity:", "timer:")
 """Prefixes of the sources of commands that no client has requested."""
+TIMER = "timer:"
+"""Prefix of the sources of timers."""
+ROUNDING = 1e-3
+"""Largest difference of two readings of one clock that counts as none, s."""
 MOVING_SPEED = 1e-3
 """Speed below which a joint stands, rad/s."""
 
@@ -67,6 +72,7 @@ class View:
         accounts: Verdicts that operators received by (source, id).
         danger: True if the last event was danger, and no snapshot has been published since.
         needless_rows: Rejected events that were journalled, although they have changed nothing.
+        early_timers: Events of timers that were journalled as accepted, although the timer did not run or was not due.
         released: Number of journalled accepted verdicts that release the latch, which have not released it yet.
         excused: True if the daemon's disk has failed in this run: its later refusals are not journalled.
         seen: Number of decisions by names such as ``accepted placement.approach``.
@@ -88,11 +94,13 @@ class View:
     accounts: dict[tuple[str, str], Verdict] = field(default_factory=dict)
     danger: bool = False
     needless_rows: list[str] = field(default_factory=list)
+    early_timers: list[str] = field(default_factory=list)
     released: int = 0
     excused: bool = False
     seen: Counter[str] = field(default_factory=Counter)
     _has_registered: bool = False
     _in_force: set[str] = field(default_factory=set)
+    _due: dict[str, float] = field(default_factory=dict)
     _rows: int = 0
 
     @property
@@ -110,6 +118,7 @@ class View:
         self.excused = self.danger = False
         self.released = 0
         self._in_force = set()
+        self._due = {}
 
     def end_run(self) -> None:
         """End a run: without a daemon nothing is permitted any more."""
@@ -131,6 +140,7 @@ class View:
         """Read the rows that were journalled since the last call."""
         for stored in reader.read(after=self._rows):
             row, self._rows = stored.row, stored.sequence
+            self._take_timer(row)
             if row.kind == "outcome" and row.verdict is not None:
                 self.outcomes[row.source or "", row.command_id or ""] = row.verdict
                 self.by_id[row.command_id or ""] = row.verdict
@@ -143,6 +153,23 @@ class View:
     def take_verdict(self, verdict: Verdict) -> None:
         """Record a published verdict."""
         self.seen[f"{verdict.decision} {verdict.branch}.{verdict.operation}"] += 1
+
+    def _take_timer(self, row: JournalRow) -> None:
+        """Follow when timers begin and end, and note an event that one has posted too early.
+
+        An event with steps may have started before its timer was restarted.
+        """
+        source = row.source or ""
+        if not source.startswith(TIMER):
+            return
+        if row.kind == "device" and row.operation == TIMER_STARTED:
+            self._due[source] = row.monotonic + float((row.result or {})["fields"]["after"])
+        elif row.kind == "device" and row.operation == TIMER_ENDED:
+            self._due.pop(source, None)
+        elif row.kind == "outcome" and row.verdict is not None and row.verdict.decision == "accepted":
+            spec, due = self.blueprint.find(row.branch or "", row.operation or ""), self._due.get(source)
+            if (due is None or row.monotonic < due - ROUNDING) and not (spec is not None and spec.steps):
+                self.early_timers.append(f"{row.branch}.{row.operation}, which {source} has posted")
 
     def _take_registration(self, operation: str, command: str) -> None:
         if operation not in REGISTERING or (operation == "use_previous" and not self._has_registered):

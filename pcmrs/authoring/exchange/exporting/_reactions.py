@@ -21,7 +21,7 @@ class Reaction:
     """A transition of one branch.
 
     Attributes:
-        event: ``branch.operation``, with ``.outcome`` where the operation can end in several ways.
+        command: The operation and its ending that it reacts to.
         branch: The branch that reacts.
         source: The state in which it reacts.
         entered: The target states: of the branch, and of branches nested in it that do not enter their start
@@ -29,11 +29,16 @@ class Reaction:
         guard: The states of other branches in which it reacts like this.
     """
 
-    event: str
+    command: OperationEnding
     branch: str
     source: str
     entered: Entered
     guard: Cube
+
+    @property
+    def event(self) -> str:
+        """Event of the transition."""
+        return self.command.event
 
 
 def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
@@ -72,7 +77,7 @@ def _of_branch(
         for entered, wanted in leading.items():
             unwanted = [joint for other, joints in leading.items() if other != entered for joint in joints]
             for guard in cover(wanted, unwanted, others) if entered is not None else ():
-                yield Reaction(command.event, branch, source, entered or (), guard)
+                yield Reaction(command, branch, source, entered or (), guard)
 
 
 def _entered(command: OperationEnding, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:

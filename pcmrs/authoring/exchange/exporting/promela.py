@@ -30,7 +30,8 @@ class _Way:
     command: str
     guard: str
     targets: Mapping[str, str]
-    by_user: bool  # by a user, not by a device
+    by_user: bool  # by a user, not by the environment: a device or a timer
+    origin: str = ""  # the timers that post it
 
 
 def promela(blueprint: Blueprint) -> str:
@@ -38,7 +39,8 @@ def promela(blueprint: Blueprint) -> str:
 
     It has the claims ``deadlock`` (at every moment a user may ask for something, or the goal is reached),
     ``children_fit``, and ``property_<n>`` for every property that speaks of states only and is always, never or
-    reachable; a reachable one is claimed never to hold, so that SPIN shows the path there.
+    reachable; a reachable one is claimed never to hold, so that SPIN shows the path there. Time is not part of the
+    model: the environment may choose the event of a timer at any moment.
 
     Args:
         blueprint: A sound or unsound workflow that obeys the static rules.
@@ -81,7 +83,7 @@ def _process(ways: list[_Way]) -> Iterator[str]:
     yield "do"
     for way in ways:
         moves = [f"{_variable(name)} = {_constant(name, state)}" for name, state in way.targets.items()]
-        yield f":: d_step {{ {way.guard} -> {'; '.join(moves) or 'skip'} }} /* {way.command} */"
+        yield f":: d_step {{ {way.guard} -> {'; '.join(moves) or 'skip'} }} /* {way.command}{way.origin} */"
     yield ":: false -> skip"
     yield "od"
     yield "}"
@@ -150,10 +152,18 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
             for name, states_after in decision.endings.items():
                 command = f"{branch}.{operation}" + (f":{name}" if name != START_OUTCOME else "")
                 found.setdefault((command, frozenset(states_after.items())), []).append(cube)
+        origin = _timers(blueprint, branch, operation)
         for (command, targets), cubes in found.items():
             for cube in merge(cubes, states):
                 guard = _states({name: sorted(allowed) for name, allowed in cube.items()})
-                yield _Way(command, guard, dict(sorted(targets)), by_user=not spec.event)
+                yield _Way(command, guard, dict(sorted(targets)), by_user=not spec.event, origin=origin)
+
+
+def _timers(blueprint: Blueprint, branch: str, operation: str) -> str:
+    """Return the timers that post an operation: the environment may choose it at any moment, so also at theirs."""
+    timers = blueprint.branches[branch].timers.items()
+    posting = [f"timer {name} {timer.when}" for name, timer in timers if timer.posts == operation]
+    return f", environment: {', '.join(posting)}" if posting else ""
 
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[DecisionCase]:

@@ -25,6 +25,7 @@ NAMES = {
     ("BranchSpec", "activities"): STATE_NAME.pattern,
     ("BranchSpec", "operations"): NAME.pattern,
     ("BranchSpec", "states"): STATE_NAME.pattern,
+    ("BranchSpec", "timers"): NAME.pattern,
     ("BranchSpec", "emits"): f"{STATE_NAME.pattern}|{ANY}",
     ("OperationSpec", "outcomes"): NAME.pattern,
     ("ParentSpec", "compatible"): f"{STATE_NAME.pattern}|{ANY}",

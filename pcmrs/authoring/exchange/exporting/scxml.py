@@ -3,7 +3,8 @@
 One parallel region per branch, a branch that refines one state of its parent inside that state. States are
 ``branch.state``. Events are ``branch.operation``, or ``branch.operation.outcome`` where it can end in several ways;
 ``done`` is the outcome of an operation that declares none. In an imported workflow events keep their names. A
-transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
+transition without target is an operation that is accepted and keeps the state. A timer is a delayed event that is sent
+when its state is entered and cancelled when that is left. Checks, steps and roles are not part
 of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know. The provenance of a
 drafted workflow is an element of `PROVENANCE_NAMESPACE`, which `pcmrs fsm import` reads again.
 """
@@ -19,6 +20,7 @@ from pcmrs.authoring.exchange import PROVENANCE_NAMESPACE, SCXML_NAMESPACE
 from pcmrs.authoring.exchange._cubes import Cube
 from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting._reactions import Reaction, reactions
+from pcmrs.authoring.exchange.exporting._scxml_timers import ScxmlTimers
 from pcmrs.fsm.blueprint import Blueprint
 
 __all__ = ["scxml"]
@@ -55,6 +57,7 @@ class _Writer:
     def __init__(self, blueprint: Blueprint, nesting: Nesting) -> None:
         self.nesting = nesting
         self._branches = blueprint.branches
+        self._timers = ScxmlTimers(blueprint)
         self._reactions: dict[tuple[str, str], list[Reaction]] = defaultdict(list)
         for reaction in reactions(blueprint, nesting):
             self._reactions[reaction.branch, reaction.source].append(reaction)
@@ -69,6 +72,7 @@ class _Writer:
             element = SubElement(region, kind, id=_id(branch, state))
             if activity := spec.activities.get(state):
                 element.append(Comment(f" do / {activity.run}; at its end {branch}.{activity.ended} "))
+            self._timers.write_state(element, branch, state)
             for reaction in self._reactions[branch, state]:
                 self._write_transition(element, reaction)
             for child in inside:
@@ -80,6 +84,7 @@ class _Writer:
             transition.set("cond", self._condition(reaction.guard))
         if reaction.entered:
             transition.set("target", " ".join(_id(branch, state) for branch, state in reaction.entered))
+        self._timers.write_transition(transition, reaction)
 
     def _condition(self, guard: Cube) -> str:
         parts = [self._in_one_of(branch, guard[branch]) for branch in self._branches if branch in guard]

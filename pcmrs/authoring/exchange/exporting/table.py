@@ -59,6 +59,10 @@ def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
         moves = " (moves)" if activity.moves else ""
         at_its_end = f"{activity.ended} when it ends"
         yield (name, f"activity{moves}", state, "", "", activity.run, "being in the state", at_its_end)
+    for key, timer in branch.timers.items():
+        restarts = timer.begins_again(name)
+        posts = f"{timer.posts}; restarted by {', '.join(restarts)}" if restarts else timer.posts
+        yield (name, f"timer {key}", ", ".join(timer.states), "", "", "", timer.when, posts)
     for rule in branch.revocations:
         moved = f"{', '.join(rule.from_)} → {rule.to}"
         yield (name, "revoked", moved, "", "", "", f"a change of {', '.join(rule.by)}", "")

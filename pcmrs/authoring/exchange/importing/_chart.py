@@ -15,6 +15,36 @@ ActiveGroups = tuple[tuple[str, ...], ...]
 """Groups of state ids; at least one state of each group must be active."""
 
 
+@dataclass(frozen=True, slots=True)
+class DelayedEvent:
+    """An event that a state sends to the chart some time after it is entered, unless it is left before.
+
+    Attributes:
+        id: Name by which it is cancelled.
+        event: The event.
+        seconds: The time, s.
+        place: Its place in the file.
+    """
+
+    id: str
+    event: str
+    seconds: float
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A delayed event that a transition cancels and sends again.
+
+    Attributes:
+        delayed: The event.
+        states: Ids of the states of which one must be active; empty if that is the source of the transition.
+    """
+
+    delayed: DelayedEvent
+    states: tuple[str, ...] = ()
+
+
 @dataclass(slots=True, eq=False)
 class Edge:
     """A transition; without targets it consumes the event and keeps the state.
@@ -26,6 +56,7 @@ class Edge:
         place: Its place in the file.
         internal: It does not leave its source when its targets are inside.
         condition: Condition for taking it: one state of each group must be active.
+        restarts: Delayed events that it sends again.
     """
 
     source: Node
@@ -34,6 +65,7 @@ class Edge:
     place: Place
     internal: bool = False
     condition: ActiveGroups = ()
+    restarts: list[Restart] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
@@ -51,6 +83,7 @@ class Node:
         above: The state it is in; None for the root.
         children: States in it.
         edges: Transitions out of it, first match first.
+        delayed: Events that it sends some time after it is entered.
         provenance: Of the root: how a language model has drafted the workflow.
     """
 
@@ -64,6 +97,7 @@ class Node:
     above: Node | None = None
     children: list[Node] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
+    delayed: list[DelayedEvent] = field(default_factory=list)
     provenance: ProvenanceSpec | UnsetType = UNSET
 
     @property

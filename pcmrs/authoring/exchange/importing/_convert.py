@@ -11,7 +11,16 @@ from pcmrs.authoring.exchange.importing._conditions import ConditionalEffects, T
 from pcmrs.authoring.exchange.importing._moves import Move, MoveGroup, Mover, grouped
 from pcmrs.authoring.exchange.importing._reading import Findings, Names
 from pcmrs.authoring.exchange.importing._regions import Region, regions_of
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
+from pcmrs.authoring.exchange.importing._timers import TimerConversion
+from pcmrs.fsm.blueprint import (
+    Blueprint,
+    BranchSpec,
+    OperationSpec,
+    ParentSpec,
+    Requirement,
+    RevocationSpec,
+    TimerSpec,
+)
 from pcmrs.fsm.finding import Place
 
 MAX_WORK = 1_000_000
@@ -64,6 +73,7 @@ class _Converter:
             for event in edge.events:
                 self._edges[event].append(edge)
         self._names: dict[Node, str] = {}
+        self._timers: dict[Region, dict[str, TimerSpec]] = {}
         self._reactions = 0
         self._counts: Counter[tuple[Region, str]] = Counter()
         self._operations: dict[Region, dict[str, OperationSpec]] = {region: {} for region in self._regions}
@@ -75,6 +85,8 @@ class _Converter:
         self._name_all()
         for event, place in events.items():
             self._add_event(event, place)
+        timers = TimerConversion(self._root, self._regions, self._names, self._operations, self._findings)
+        self._timers = {} if self._findings else timers.convert()
         branches = {region.name: self._branch(region) for region in self._regions}
         goal = {r.name: finals for r in self._roots if (finals := [self._names[s] for s in r.states if s.final])}
         name = plain(self._root.display_name) or ROOT_NAME
@@ -137,7 +149,8 @@ class _Converter:
         states = {self._names[state]: state.title or state.display_name for state in region.states}
         operations = {**self._operations[region], **dict(self._signals(region, list(states)))}
         if region.outer is None or region.home is None:
-            return BranchSpec(title=region.label.title, states=states, operations=operations)
+            timers = self._timers.get(region, {})
+            return BranchSpec(title=region.label.title, states=states, operations=operations, timers=timers)
         start, home = next(iter(states)), self._names[region.home]
         around = {outer.name: [self._names[state]] for outer, state in region.chain()}
         title = self._reinit_event(region, operations.get(REINIT), around)
@@ -153,6 +166,7 @@ class _Converter:
             operations=operations,
             parent=ParentSpec(branch=region.outer.name, start=home, compatible=compatible),
             emits=dict.fromkeys(states, f"{region.name}_changed"),
+            timers=self._timers.get(region, {}),
             revocations=self._revocations(region, region.outer),
         )
 

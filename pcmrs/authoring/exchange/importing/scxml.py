@@ -1,6 +1,7 @@
 """Reads SCXML: flat, nested and parallel states, finals, initials and transitions on events.
 
-Conditions may name active states. Everything else in SCXML, above all executable content, gives a finding: a
+Conditions may name active states. An event that is sent with a delay when a state is entered, and cancelled when that
+state is left, is a timer. Everything else in SCXML, above all executable content, gives a finding: a
 blueprint holds no code.
 """
 
@@ -11,6 +12,7 @@ import msgspec
 from pcmrs.authoring.exchange import PROVENANCE_NAMESPACE, SCXML_NAMESPACE
 from pcmrs.authoring.exchange.importing._chart import Edge, Node
 from pcmrs.authoring.exchange.importing._conditions import read_condition
+from pcmrs.authoring.exchange.importing._delays import cancelled, delayed_events, restarts
 from pcmrs.authoring.exchange.importing._markup import Element, read_xml
 from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.authoring.exchange.importing.imported import import_chart
@@ -68,6 +70,7 @@ class _Reader:
 
     def _read_inside(self, element: Element, node: Node) -> None:
         node.initial = element.attributes.get("initial", "")
+        ended: list[str] = []
         for child in element.children:
             if child.namespace not in ("", SCXML_NAMESPACE):
                 continue
@@ -75,12 +78,19 @@ class _Reader:
                 self._read_state(child, node)
             elif child.name == "transition":
                 self._read_transition(child, node)
+            elif child.name == "onentry" and node.above is not None:
+                node.delayed += delayed_events(child, self._refuse)
+            elif child.name == "onexit" and node.above is not None:
+                ended += cancelled(child, self._refuse)
             elif child.name == "initial":
                 inner = child.every("transition")
                 node.initial = inner[0].attributes.get("target", "") if inner else ""
                 self._refuse_contents(inner[0] if inner else child)
             else:
                 self._refuse(f"<{child.name}> is not supported", child.place)
+        if sorted(ended) != sorted(each.id for each in node.delayed):
+            text = "A delayed event must be cancelled, by its id, in the onexit of the state that sends it"
+            self._refuse(text, element.place)
 
     def _read_state(self, element: Element, above: Node) -> None:
         name = element.attributes.get("id", "")
@@ -88,7 +98,7 @@ class _Reader:
             self._findings.add("bad_name", f"This {element.name} has no id: give it one.", element.place)
         node = above.add(Node(name, element.place, parallel=element.name == "parallel", final=element.name == "final"))
         self._read_inside(element, node)
-        if node.final and (node.edges or node.children):
+        if node.final and (node.edges or node.children or node.delayed):
             self._refuse("A final state with contents or transitions is not supported", element.place)
         node.parallel = node.parallel and bool(node.children)
 
@@ -105,10 +115,10 @@ class _Reader:
                 self._refuse(
                     f"The event {event or '*'} is not supported: name an action of a user or device", element.place
                 )
-        self._refuse_contents(element)
         targets = given.get("target", "").split()
         internal = given.get("type") == "internal"
-        node.edges.append(Edge(node, events, targets, element.place, internal, condition or ()))
+        again = restarts(element, self._refuse)
+        node.edges.append(Edge(node, events, targets, element.place, internal, condition or (), again))
 
     def _refuse_contents(self, element: Element) -> None:
         for child in element.children:

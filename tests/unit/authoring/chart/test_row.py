@@ -16,7 +16,7 @@ PORTS = st.lists(LINES, max_size=6)
 def test_ports_are_on_the_edge_with_room_for_their_captions(
     left: list[list[str]], right: list[list[str]], loops: list[str], y: float
 ) -> None:
-    placed = row("standoff", "over the planned point", "do / hold", loops)
+    placed = row("standoff", "over the planned point", ["do / hold", "after 60 s / let_go"], loops)
     placed.left = [Port(number, caption) for number, caption in enumerate(left)]
     placed.right = [Port(number, caption) for number, caption in enumerate(right)]
     placed.place(y)
@@ -29,12 +29,12 @@ def test_ports_are_on_the_edge_with_room_for_their_captions(
         assert above < placed.bottom
 
 
-@given(st.text(max_size=80), st.text(max_size=200), st.text(max_size=80), LINES)
-def test_a_box_is_as_wide_as_each_of_its_texts(state: str, meaning: str, activity: str, loops: list[str]) -> None:
-    made = row(state, meaning, activity, loops)
+@given(st.text(max_size=80), st.text(max_size=200), st.lists(st.text(max_size=80), max_size=2), LINES)
+def test_a_box_is_as_wide_as_each_of_its_texts(state: str, meaning: str, inner: list[str], loops: list[str]) -> None:
+    made = row(state, meaning, inner, loops)
     assert made.width > mono_width(made.state, NAME)
     assert all(made.width > sans_width(line, MEANING) for line in made.meaning)
-    assert all(made.width > mono_width(line, LABEL) for line in (made.activity, *made.loops))
+    assert all(made.width > mono_width(line, LABEL) for line in (*made.inner, *made.loops))
 
 
 def test_a_port_without_caption_takes_less_room() -> None:

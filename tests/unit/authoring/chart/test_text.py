@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.chart._text import activity_line, clean, cut, flow, mono_width, sans_width, wrap
+from pcmrs.authoring.chart._text import clean, cut, flow, inner_lines, mono_width, sans_width, wrap
 from tests.unit.fsm.arm_workflow import arm_blueprint
 
 WORDS = st.lists(st.text("abcxyz_", min_size=1, max_size=40), max_size=12)
@@ -61,5 +61,5 @@ def test_wide_characters_take_two_columns() -> None:
 
 def test_only_a_state_with_an_activity_has_a_line_about_it() -> None:
     arm = arm_blueprint().branches["arm"]
-    assert activity_line(arm, "following") == "do / follow_head"
-    assert activity_line(arm, "away") == ""
+    assert inner_lines(arm, "following") == ["do / follow_head"]
+    assert inner_lines(arm, "away") == []

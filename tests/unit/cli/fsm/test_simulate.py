@@ -14,6 +14,7 @@ from pcmrs.authoring.trial.session import SimulationSession, TrialStep
 from pcmrs.cli import main
 from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
+from tests.unit.fsm.timed_workflow import TIMED
 
 RATMS = shipped_blueprint("ratms")
 
@@ -71,8 +72,18 @@ def test_random_steps_as_json_are_one_object_a_line() -> None:
     assert steps == list(SimulationSession(RATMS).random_walk(30, 5))
 
 
-def test_unreadable_workflow_ends_with_2(tmp_path: Path) -> None:
+def test_unreadable_workflow_ends_with_5(tmp_path: Path) -> None:
     file = tmp_path / "no.toml"
     file.write_bytes(b"\xff")
     assert simulate(str(file)).exit_code == 5
     assert simulate(str(tmp_path / "none.toml")).exit_code == 5
+
+
+def test_a_wait_lets_timers_expire(tmp_path: Path) -> None:
+    workflow = tmp_path / "timed.toml"
+    workflow.write_text(TIMED)
+    run = simulate(str(workflow), lines="tool.place\nwait 60\nwait 540\nwait soon\nwait\n")
+    assert "60 s: wait 60: waited" in run.output
+    assert "    timer tool.idle: 540 s left" in run.output
+    assert "600 s: tool.left_alone: accepted, by timer tool.idle" in run.output
+    assert run.stderr.count("cannot be a time") == 2

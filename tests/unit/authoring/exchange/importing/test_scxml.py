@@ -174,7 +174,7 @@ def test_unsupported_scxml_is_named_with_line_and_column() -> None:
     assert {f.file for f in findings} == {"chart.scxml"}
     places = [(f.line, f.column) for f in findings]
     assert places == [
-        (4, 3), (5, 3), (7, 5), (8, 5), (9, 5), (10, 5), (11, 5), (12, 5), (13, 5), (14, 5), (15, 28), (17, 3),
+        (4, 3), (5, 3), (7, 14), (9, 5), (10, 5), (11, 5), (12, 5), (13, 5), (14, 5), (15, 28), (17, 3),
     ]  # fmt: skip
 
 

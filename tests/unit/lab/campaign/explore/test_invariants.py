@@ -183,6 +183,13 @@ def test_a_needless_row_is_told() -> None:
     assert broken(known, verdict) == {"only_changes_leave_rows"}
 
 
+def test_an_early_event_of_a_timer_is_told() -> None:
+    known = view(shown())
+    verdict = known.by_id["1"] = decided(id="1")
+    known.early_timers.append("placement.left_alone, which timer:placement.idle has posted")
+    assert broken(known, verdict) == {"timers_keep_their_time"}
+
+
 def test_a_command_is_performed_once() -> None:
     known = view(shown())
     verdict = known.by_id["1"] = decided(id="1")

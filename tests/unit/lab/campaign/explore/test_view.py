@@ -178,3 +178,30 @@ def test_an_id_that_is_refused_is_told_from_a_decision() -> None:
 
 def test_the_fastest_joint_is_the_speed_of_an_arm() -> None:
     assert Moved(joints(0.25)).speed == 0.25
+
+
+IDLE = "timer:placement.idle"
+BEGUN = {"fields": {"after": 10.0}}
+
+
+@pytest.mark.parametrize(
+    ("given", "early"),
+    [
+        ([("device", "timer_started", 0.0), ("outcome", "left_alone", 10.0)], False),
+        ([("device", "timer_started", 0.0), ("outcome", "left_alone", 9.0)], True),
+        ([("device", "timer_started", 0.0), ("device", "timer_started", 5.0), ("outcome", "left_alone", 12.0)], True),
+        ([("device", "timer_started", 0.0), ("device", "timer_ended", 5.0), ("outcome", "left_alone", 12.0)], True),
+        ([("outcome", "left_alone", 12.0)], True),
+    ],
+)
+def test_an_event_that_comes_before_its_time_is_seen(given: list[tuple[Any, str, float]], early: bool) -> None:
+    known = view(shown())
+    posted = decided("placement.left_alone")
+    rows = [
+        row("outcome", posted, source=IDLE, monotonic=at)
+        if kind == "outcome"
+        else row(kind, source=IDLE, operation=code, result=BEGUN, monotonic=at)
+        for kind, code, at in given
+    ]
+    take(known, *rows)
+    assert bool(known.early_timers) is early
