@@ -223,7 +223,6 @@ def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
 class _Cascade:
     """Application of one outcome to a copy of the joint state, and of what it triggers.
 
-
     Args:
         blueprint: The workflow.
         states: Copy of the joint state, which is changed.

@@ -12,7 +12,7 @@ from pcmrs.fsm.timers import duration
 
 
 class ScxmlTimers:
-    """Writes the timers of a workflow into its chart.
+    """Writer of the timers of a workflow into its chart.
 
     Args:
         blueprint: The workflow. A time that the configuration gives is written as the workflow's default.

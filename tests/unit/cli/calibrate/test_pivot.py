@@ -25,7 +25,7 @@ def test_pivot_prints_writes_and_draws(tmp_path: Path) -> None:
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_unreadable_file_ends_with_2(tmp_path: Path) -> None:
+def test_unreadable_file_ends_with_5(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     for words in (["pivot", str(tmp_path / "none.csv")], ["hand-eye", str(tmp_path / "other.csv")]):
         ended = run(*words)
