@@ -514,6 +514,7 @@ async def collision(lab: Lab) -> Evidence:
     return await braked(lab, "push_tool", {"force": lab.random.uniform(35.0, 50.0)}, {"force": 0.0})
 
 
+PLAIN = (*VIRTUAL, "sim.arm.physics=kinematic")
 SEGMENT_WAY = 0.006
 """Longest way of the tool after a Stop if the arm moves in segments, m: one segment, and what is measured beside it."""
 
@@ -525,7 +526,7 @@ SEGMENT_WAY = 0.006
 )
 async def without_servo(lab: Lab) -> Evidence:
     """The controller cannot follow set points, and does not stop a motion that it has started."""
-    async with lab.daemon(*VIRTUAL) as cell:
+    async with lab.daemon(*PLAIN) as cell:
         await to_retracted(cell.client)
         async with injected(cell, "withdraw_servo"):
             stream = await cell.client.call("placement.approach")
@@ -534,7 +535,7 @@ async def without_servo(lab: Lab) -> Evidence:
         if not await _retracted(cell):
             await accept(cell.client, "placement.home")
         control = await accept(cell.client, "placement.approach")
-    async with lab.daemon(*VIRTUAL, "kst.motion=ptp") as cell, injected(cell, "withdraw_servo"):
+    async with lab.daemon(*PLAIN, "kst.motion=ptp") as cell, injected(cell, "withdraw_servo"):
         await to_placed(cell.client)
         for operation in ("press", "follow"):
             await refused(cell, f"placement.{operation}", codes=("point_to_point",))
