@@ -134,11 +134,11 @@ def test_the_status_is_1_and_differences_are_listed(tmp_path: Path) -> None:
     assert "invalid_in_state" in out
 
 
-def test_the_status_is_2_where_the_blueprint_is_another_one(tmp_path: Path) -> None:
+def test_the_status_is_5_where_the_blueprint_is_another_one(tmp_path: Path) -> None:
     other = tmp_path / "other.jsonl"
     other.write_text(RATMS.read_text().replace(shipped_blueprint("ratms").hash, "0" * 64))
     status, _, err = run(str(other))
-    assert status == 2
+    assert status == 5
     assert "--blueprint" in err
 
 
@@ -152,24 +152,24 @@ def test_a_journal_names_no_file_whose_code_is_run(words: tuple[str, ...], tmp_p
     status, _, err = run(str(journal), *words)
     assert not (tmp_path / "was_run").exists()
     if not words:
-        assert (status, len(err.splitlines())) == (2, 1)
+        assert (status, len(err.splitlines())) == (5, 1)
         assert "sent.toml" in err
 
 
 @pytest.mark.parametrize("content", [b"", b"no journal", b'{"sequence": 1}\n'])
-def test_the_status_is_2_for_what_is_no_journal(content: bytes, tmp_path: Path) -> None:
+def test_the_status_is_5_for_what_is_no_journal(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_bytes(content)
     status, out, err = run(str(file))
-    assert (status, out) == (2, "")
+    assert (status, out) == (5, "")
     assert str(file) in err
     assert len(err.splitlines()) == 1
 
 
-def test_the_status_is_2_where_a_row_is_missing(tmp_path: Path) -> None:
+def test_the_status_is_5_where_a_row_is_missing(tmp_path: Path) -> None:
     lines = RATMS.read_text().splitlines(keepends=True)
     file = tmp_path / "cut.jsonl"
     file.write_text("".join(lines[:3] + lines[4:]))
     status, _, err = run(str(file))
-    assert status == 2
+    assert status == 5
     assert "row 4" in err

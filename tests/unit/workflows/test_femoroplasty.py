@@ -57,7 +57,7 @@ async def femur() -> AsyncIterator[WorkflowBench]:
 @pytest.fixture
 async def exact_femur() -> AsyncIterator[WorkflowBench]:
     """With a guide that is placed to a tenth of a millimetre."""
-    async with open_femur({"placement": {"frames": 4, "tolerance_mm": 0.1}}) as bench:
+    async with open_femur({"placement": {"frames": 4, "tolerance_mm": 0.1, "noise_factor": 0.0}}) as bench:
         yield bench
 
 
