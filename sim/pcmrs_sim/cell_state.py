@@ -43,7 +43,7 @@ class Sight(NamedTuple):
 class CellState:
     """The model of the cell with the present places of its bodies.
 
-    Reading a pose never changes the physics: the dynamics of the arm have data of their own.
+    Reading a pose never changes a motion: the dynamics of the arm use separate data of the model.
 
     Args:
         facts: Nominal geometry and inertias of the arm, whose true joints are displaced by the seed of the settings.

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from pcmrs.background import background_task
-from pcmrs.cli.options import OutputFile
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import readable_errors
 from pcmrs.cli.values import Finite
@@ -29,7 +28,14 @@ LONGEST_FILM = 120.0
 
 
 @click.command()
-@click.option("-o", "--output", type=OutputFile(), required=True, metavar="FILE.png", help="Picture or film to write.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, writable=True, path_type=Path),
+    required=True,
+    metavar="FILE.png",
+    help="Picture or film to write.",
+)
 @click.option(
     "--duration",
     type=Finite(min=1.0 / FPS, max=LONGEST_FILM),
@@ -62,6 +68,8 @@ def render(
 
     Example: pcmrs-sim render -o cell.png --duration 10 --schedule touches.txt
     """
+    if not output.parent.is_dir():
+        raise ConfigurationError(f"There is no folder {output.parent}; create it first.", folder=str(output.parent))
     if output.suffix.lower() != ".png":
         text = f"{output.name} has the wrong ending; write a .png, and convert it: ffmpeg -i cell.png cell.mp4."
         raise ConfigurationError(text, file=str(output))

@@ -43,7 +43,7 @@ def test_a_film_shows_the_pointer_at_a_landmark(tmp_path: Path) -> None:
     ("arguments", "status", "text"),
     [
         (["-o", "cell.mp4"], 4, "ffmpeg -i cell.png cell.mp4"),
-        (["-o", "nowhere/cell.png"], 2, "nowhere"),
+        (["-o", "nowhere/cell.png"], 4, "nowhere"),
         (["-o", "cell.png", "--duration", "1000"], 2, "1000"),
         (["-o", "cell.png", "--camera", "ceiling"], 2, "ceiling"),
     ],
