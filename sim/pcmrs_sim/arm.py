@@ -11,13 +11,13 @@ from pcmrs.devices.motion.reference import SetPoint
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
+from pcmrs_sim.cell_state import CellState
 from pcmrs_sim.contact import Contact
 from pcmrs_sim.disturbance import PlantDisturbance
-from pcmrs_sim.error_models import displaced
 from pcmrs_sim.force import ForceSensor
 from pcmrs_sim.impedance_controller import ImpedanceController
 from pcmrs_sim.phantom import Phantom
-from pcmrs_sim.plant import STEP, nominal_model, plant_model
+from pcmrs_sim.plant import STEP, nominal_model
 from pcmrs_sim.settings import SimSettings
 
 REST_ERROR = 5e-5
@@ -42,6 +42,7 @@ class Arm(Follower):
         phantom: The body in front of the arm, and the tool for it.
 
     Attributes:
+        cell: The model of the cell with this arm. Its dynamics have other data than the poses that are read.
         contact: Contact between tool and body.
         sensor: The arm's own estimate of the force.
         disturbance: Disturbances from outside the controller.
@@ -52,14 +53,13 @@ class Arm(Follower):
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
         own, flange_from_tool_tip = settings.arm, settings.geometry.flange_from_tool_tip.transform
-        true_facts = displaced(facts, own.geometry_error_mm * 1e-3, settings.seed)
         rng = np.random.default_rng(settings.seed)
         home = np.array(own.home or facts.home)
         self.sensor = ForceSensor(flange_from_tool_tip.rotation[:, 2], own, STEP, rng)
         limits = brake_limits(facts, own.brake_acceleration, own.brake_jerk)
         super().__init__(ArmModel(facts), limits, force, self.sensor, home, STEP)
-        self._true_model = ArmModel(true_facts)
-        self._plant = plant_model(true_facts, own, flange_from_tool_tip, phantom)
+        self.cell = CellState(facts, settings, phantom)
+        self._plant = self.cell.model
         self._data = mujoco.MjData(self._plant)
         self._data.qpos[:] = home
         self._controller = ImpedanceController(
@@ -67,7 +67,6 @@ class Arm(Follower):
         )
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
         self.disturbance = PlantDisturbance(self._plant)
-        self._posture, self._base_from_flange = home, self._true_model.forward(home)
         self.step(SETTLING_STEPS)
 
     def step(self, steps: int) -> None:
@@ -127,9 +126,11 @@ class Arm(Follower):
         """Commanded joint torques, N m, (n,)."""
         return np.array(self._data.ctrl)
 
+    def observe(self) -> CellState:
+        """Return the model of the cell with the arm in its present posture."""
+        self.cell.move_joints(self._data.qpos)
+        return self.cell
+
     def base_from_flange(self) -> Transform:
         """Return the true pose of the flange; the same object as long as the arm stands still."""
-        if not np.array_equal(self._data.qpos, self._posture):
-            self._posture = self.positions
-            self._base_from_flange = self._true_model.forward(self._posture)
-        return self._base_from_flange
+        return self.observe().pose("world_from_flange")

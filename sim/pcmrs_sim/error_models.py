@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot, pi, radians, sqrt
+from math import pi, radians, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.registration.rigid import fit_rigid
 from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.settings import DigitizationSettings, TrackerSettings, Triple
 
@@ -16,6 +18,11 @@ WAVES = 12
 SHORTEST_WAVE = 0.3
 LONGEST_WAVE = 1.5
 """Range of their wavelengths, m. The bias hardly changes over the size of a marker body."""
+
+BASELINE = 0.5
+"""Distance between the two cameras of the tracker, m: about that of a Polaris Spectra or Vega."""
+FEWEST_SPHERES = 3
+"""Fewest spheres from which the pose of a body follows."""
 
 ARM_STREAM = 1
 """Number of the random stream of the arm's geometry, so that it is independent of the other streams of a seed."""
@@ -98,6 +105,11 @@ class BiasField:
 class TrackerErrors:
     """Errors that the tracker adds to a true pose.
 
+    Each sphere has noise. Two cameras that are b apart see its direction with an error of s. At a distance r, that is
+    ``r s`` across the line of sight, and ``2 r^2 s / b`` along it, because the disparity has twice the error of the
+    mean of both directions (Hartley, Zisserman, Multiple View Geometry, 2004). So the pose is worse far away, with
+    fewer spheres, and about axes across the line of sight.
+
     Args:
         settings: Magnitudes of the errors.
         rng: Source of the errors.
@@ -110,22 +122,38 @@ class TrackerErrors:
         self._rng = rng
         self._translation_bias = BiasField(settings.bias_mm * 1e-3, rng)
         self._rotation_bias = BiasField(radians(settings.bias_deg), rng)
-        self._translation_jitter = settings.jitter_mm * 1e-3
-        self._rotation_jitter = radians(settings.jitter_deg)
-        self.jitter_free = not (settings.jitter_mm or settings.jitter_deg)
+        self._jitter = settings.jitter_mm * 1e-3
+        self.jitter_free = not settings.jitter_mm
 
-    def measure(self, tracker_from_body: Transform) -> Transform:
-        """Return a measurement of a true pose: the bias at its position plus new jitter, in the tracker frame."""
+    def measure(
+        self, tracker_from_body: Transform, spheres: Floats, seen: npt.NDArray[np.bool_]
+    ) -> tuple[Transform, float]:
+        """Return a measured pose and its fit error, m.
+
+        The fit error is the rms distance of the seen spheres from where the pose puts them. It does not show the bias.
+
+        Args:
+            tracker_from_body: True pose of the marker body.
+            spheres: Centres of its spheres, in its frame, m, (K, 3).
+            seen: Mask of the spheres that are seen, (K,), at least `FEWEST_SPHERES`.
+        """
+        noise = self._jitter * self._rng.standard_normal(spheres.shape)  # of all spheres, so that seeds stay in step
+        spheres = spheres[seen]
+        measured = _with_noise(tracker_from_body @ spheres, noise[seen])
+        fit = fit_rigid(measured, spheres)
         position = tracker_from_body.translation
-        jitter = self._rng.standard_normal(6)
-        translation = self._translation_bias.at(position) + self._translation_jitter * jitter[:3]
-        rotation = self._rotation_bias.at(position) + self._rotation_jitter * jitter[3:]
-        measured = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
-        return trusted_transform(measured, position + translation)
+        bias = Transform.from_rotvec(np.zeros(3), self._rotation_bias.at(position))
+        pose = trusted_transform(bias.rotation @ fit.rotation, fit.translation + self._translation_bias.at(position))
+        return pose, sqrt(float(fit.squares().mean()))
 
-    def fit_error(self) -> float:
-        """Draw the tracker's own estimate of its error, m: the scatter of the markers, which does not show the bias."""
-        return self._translation_jitter * hypot(*self._rng.standard_normal(3).tolist())
+
+def _with_noise(points: Floats, noise: Floats) -> Floats:
+    """Return points in the tracker frame, m, (K, 3), with noise of a distance of 1 m, m, (K, 3), at their distance."""
+    distances = np.linalg.norm(points, axis=1, keepdims=True)
+    sights = points / distances
+    along = np.sum(noise * sights, axis=1, keepdims=True) * sights
+    noisy: Floats = points + distances * (noise + (2.0 * distances / BASELINE - 1.0) * along)
+    return noisy
 
 
 class TouchErrors:

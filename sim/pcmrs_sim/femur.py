@@ -113,7 +113,6 @@ _SLEEVE = Capsule(np.array([0.0, 0.0, GUIDE_RADIUS]), np.array([0.0, 0.0, GUIDE_
 FEMUR = Phantom(
     inside=BASE,
     landmarks=LANDMARKS,
-    body=tuple(part.shape() for part in BONE),
     solid=CapsuleUnion(BONE),
     tool=(_SLEEVE.shape(GUIDE_MASS),),
     tool_radius=GUIDE_RADIUS,

@@ -75,7 +75,6 @@ LANDMARKS = (
 HEAD = Phantom(
     inside=CENTRE,
     landmarks=LANDMARKS,
-    body=(Shape("ellipsoid", Transform(np.eye(3), CENTRE), tuple(SEMI_AXES.tolist())),),
     solid=Superellipsoid(CENTRE, SEMI_AXES, EXPONENT),
     tool=(Shape("cylinder", COIL_CENTRE, (COIL_RADIUS, COIL_HALF_THICKNESS), COIL_MASS),),
     tool_radius=COIL_RADIUS,

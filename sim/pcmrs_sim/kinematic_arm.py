@@ -10,9 +10,9 @@ from pcmrs.devices.motion.reference import SetPoint
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
+from pcmrs_sim.cell_state import CellState
 from pcmrs_sim.contact import SpringContact
 from pcmrs_sim.disturbance import Disturbance
-from pcmrs_sim.error_models import displaced
 from pcmrs_sim.force import TrueForce
 from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plant import STEP
@@ -34,6 +34,7 @@ class KinematicArm(Follower):
         phantom: The body in front of the arm, and the tool for it.
 
     Attributes:
+        cell: The model of the cell with this arm.
         contact: Contact between tool and body.
         sensor: The true force on the flange.
         disturbance: Disturbances from outside.
@@ -41,17 +42,15 @@ class KinematicArm(Follower):
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
         own = settings.arm
-        self._flange_from_tool = settings.geometry.flange_from_tool_tip.transform
-        self.sensor = TrueForce(self._flange_from_tool.rotation[:, 2])
+        self.sensor = TrueForce(settings.geometry.flange_from_tool_tip.transform.rotation[:, 2])
         home = np.array(own.home or facts.home)
         limits = brake_limits(facts, own.brake_acceleration, own.brake_jerk)
         super().__init__(ArmModel(facts), limits, force, self.sensor, home, STEP)
-        self._true_model = ArmModel(displaced(facts, own.geometry_error_mm * 1e-3, settings.seed))
+        self.cell = CellState(facts, settings, phantom)
         self.contact = SpringContact(phantom, settings.contact.stiffness)
         self.disturbance = Disturbance(len(home))
         self._sample = np.stack((home, np.zeros_like(home), np.zeros_like(home)))
-        self._posture, self._base_from_flange = home, self._true_model.forward(home)
-        self._flange_sample = self._sample
+        self._observed_sample: Floats | None = None
         self._last_inputs: tuple[SetPoint, Transform, float] | None = None
 
     def step(self, steps: int) -> None:
@@ -101,15 +100,17 @@ class KinematicArm(Follower):
         """Joint torques, N m, (n,): zero, because there are no dynamics."""
         return np.zeros_like(self.positions)
 
+    def observe(self) -> CellState:
+        """Return the model of the cell with the arm in its present posture."""
+        if self._sample is not self._observed_sample:
+            self._observed_sample = self._sample
+            self.cell.move_joints(self.positions)
+        return self.cell
+
     def base_from_flange(self) -> Transform:
         """Return the true pose of the flange; the same object as long as the arm stands still."""
-        if self._sample is not self._flange_sample:
-            if not np.array_equal(self.positions, self._posture):
-                self._posture = self.positions
-                self._base_from_flange = self._true_model.forward(self._posture)
-            self._flange_sample = self._sample
-        return self._base_from_flange
+        return self.observe().pose("world_from_flange")
 
     def _update_force(self) -> None:
-        self.contact.update(self.base_from_flange() @ self._flange_from_tool)
+        self.contact.update(self.observe().pose("world_from_tool_tip"))
         self.sensor.update(self.contact.force + self.disturbance.push)

@@ -29,7 +29,6 @@ class Phantom:
     Attributes:
         inside: A point inside it, m, (3,). At a landmark, the shaft of the pointer points away from it.
         landmarks: Landmarks in the order of the plan.
-        body: Shapes in the image, for display.
         solid: Shape in the image, for contact.
         tool: Shapes of the tool, in the tool frame, whose plane z = 0 is the tool's face.
         tool_radius: Radius of that face, m.
@@ -39,7 +38,6 @@ class Phantom:
 
     inside: Floats
     landmarks: tuple[PhantomLandmark, ...]
-    body: tuple[Shape, ...]
     solid: ContactSolid
     tool: tuple[Shape, ...]
     tool_radius: float

@@ -1,4 +1,4 @@
-"""The arm with its tool as MuJoCo models: the true plant, and the controller's nominal model."""
+"""The arm with its tool in MuJoCo, and the controller's nominal model of it."""
 
 from __future__ import annotations
 
@@ -25,21 +25,6 @@ log = structlog.get_logger(__name__)
 mujoco.set_mju_user_warning(lambda text: log.warning("mujoco", text=text))
 
 
-def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom) -> Any:
-    """Return the true arm with joint friction, in front of its phantom, as an ``mujoco.MjModel``.
-
-    Args:
-        facts: True geometry and inertias of the arm.
-        settings: Friction, damping and armature of the joints.
-        flange_from_tool: Pose of the tool on the flange.
-        phantom: The body, its pose, and the tool.
-    """
-    text = mjcf(facts, damping=settings.damping, armature=settings.armature, frictionloss=settings.friction)
-    spec = _with_tool(text, flange_from_tool, phantom.tool)
-    _add_shapes(spec.worldbody, phantom.body, phantom.world_from_image)
-    return spec.compile()
-
-
 def nominal_model(
     facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom, rng: np.random.Generator
 ) -> Any:
@@ -53,7 +38,7 @@ def nominal_model(
         rng: Source of the signs of the errors.
     """
     text = mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0)
-    model = _with_tool(text, flange_from_tool, phantom.tool).compile()
+    model = arm_with_tool(text, flange_from_tool, phantom.tool).compile()
     factors = 1.0 + settings.inertia_error * rng.choice((-1.0, 1.0), model.nbody)
     model.body_mass *= factors
     model.body_inertia *= factors[:, None]
@@ -61,8 +46,14 @@ def nominal_model(
     return model
 
 
-def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) -> Any:
-    """Return an ``mujoco.MjSpec`` of an arm, given as MJCF, with a tool on its flange."""
+def arm_with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) -> Any:
+    """Return an ``mujoco.MjSpec`` of an arm with the body ``tool`` on its flange.
+
+    Args:
+        text: MJCF of the arm, with a site ``flange``.
+        flange_from_tool: Pose of the tool on the flange.
+        shapes: Shapes of the tool, in its frame.
+    """
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -71,17 +62,24 @@ def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) 
     flange = spec.site("flange")
     link_from_tool = Transform.from_quat_wxyz(flange.pos, flange.quat) @ flange_from_tool
     tool = flange.parent.add_body(name="tool", pos=link_from_tool.translation, quat=link_from_tool.quat_wxyz)
-    _add_shapes(tool, shapes, Transform.identity())
+    for shape in shapes:
+        add_shape(tool, shape)
     return spec
 
 
-def _add_shapes(body: Any, shapes: Sequence[Shape], body_from_shapes: Transform) -> None:
-    for shape in shapes:
-        pose = body_from_shapes @ shape.pose
-        body.add_geom(
-            type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
-            pos=pose.translation,
-            quat=pose.quat_wxyz,
-            size=[*shape.size, 0.0, 0.0][:3],
-            mass=shape.mass,
-        )
+def add_shape(body: Any, shape: Shape, **options: Any) -> None:
+    """Add a primitive to a body of an ``mujoco.MjSpec``.
+
+    Args:
+        body: The body, an ``mujoco.MjsBody``.
+        shape: Shape with its mass, in the body's frame.
+        **options: Further attributes of the geom, such as its colour.
+    """
+    body.add_geom(
+        type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
+        pos=shape.pose.translation,
+        quat=shape.pose.quat_wxyz,
+        size=[*shape.size, 0.0, 0.0][:3],
+        mass=shape.mass,
+        **options,
+    )

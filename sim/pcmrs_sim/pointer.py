@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import radians
+
 import numpy as np
 
 from pcmrs.clock import Clock
@@ -10,8 +12,13 @@ from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.motion import Pivot, Slide
 from pcmrs_sim.phantoms import SURFACE_POINTS, surface_path
-from pcmrs_sim.shape import rotation_with_z
 from pcmrs_sim.world import World
+
+GRIPS = (
+    (0.0, 0.0),
+    *((tilt, turn) for tilt in (20.0, 40.0, 60.0) for turn in (0.0, 60.0, -60.0, 120.0, -120.0, 180.0)),
+)
+"""Ways to hold the pointer: tilt of its shaft, and angle between the direction of the tilt and the tracker, degrees."""
 
 
 class SimPointer:
@@ -46,7 +53,8 @@ class SimPointer:
         path = surface_path(settings.phantom, rng)
         tips = path + rng.normal(0.0, settings.digitization.surface_noise_mm * 1e-3, path.shape)
         await self._rest(tips[0])
-        poses = [self._image_from_tip(tip) @ self._tip_from_pointer for tip in tips]
+        held = self._image_from_tip(tips[0]).rotation  # the hand keeps its grip
+        poses = [Transform(held, tip) @ self._tip_from_pointer for tip in tips]
         self._world.pointer_motion = Slide(self._world.time, poses)
 
     async def release(self) -> None:
@@ -84,5 +92,33 @@ class SimPointer:
         return self._world.settings.geometry.pointer_from_tip.transform.inverse()
 
     def _image_from_tip(self, tip_in_image: Floats) -> Transform:
-        """Return the pose of the tip at a point, with +z along the shaft, away from the body."""
-        return Transform(rotation_with_z(tip_in_image - self._world.phantom.inside), tip_in_image)
+        """Return the pose of the tip at a point, with +z along the shaft, away from the body.
+
+        Of all grips, the person takes the first with which the tracker sees most spheres of all marker bodies.
+        """
+        outwards = tip_in_image - self._world.phantom.inside
+        sight = self._world.tracker_from_image.inverse().translation - tip_in_image
+        poses = [Transform(_held(outwards, sight, *grip), tip_in_image) for grip in GRIPS]
+        seen = [self._world.spheres_seen_with(pose @ self._tip_from_pointer) for pose in poses]
+        return poses[seen.index(max(seen))]
+
+
+def _held(outwards: Floats, sight: Floats, tilt_deg: float, turn_deg: float) -> Floats:
+    """Return a rotation, (3, 3), of a pointer whose markers look to the tracker: +x is as far towards it as possible.
+
+    Args:
+        outwards: Direction away from the body, of any length, (3,).
+        sight: Direction to the tracker, of any length, (3,).
+        tilt_deg: Angle between the shaft, +z, and `outwards`, degrees.
+        turn_deg: Angle about `outwards` from the direction to the tracker to that of the tilt, degrees.
+    """
+    outwards, sight = outwards / np.linalg.norm(outwards), sight / np.linalg.norm(sight)
+    axis = Transform.from_rotvec(np.zeros(3), radians(turn_deg) * outwards) @ _unit(np.cross(outwards, sight))
+    z = Transform.from_rotvec(np.zeros(3), radians(tilt_deg) * axis) @ outwards
+    x = _unit(np.cross(np.cross(z, sight), z))
+    return np.column_stack((x, np.cross(z, x), z))
+
+
+def _unit(vector: Floats) -> Floats:
+    unit: Floats = vector / np.linalg.norm(vector)
+    return unit

@@ -47,18 +47,24 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         rate_hz: Frames per second of cell time.
         latency: Age of a pose when it is published, s.
-        jitter_mm: Standard deviation of the translation per axis and frame.
-        jitter_deg: Standard deviation of the rotation vector per axis and frame.
+        jitter_mm: Standard deviation of a marker sphere 1 m away, per frame and axis across its line of sight. It grows
+            with the distance; along the line of sight it is larger, and grows with the square.
         bias_mm: Root mean square magnitude of the translation bias, fixed per seed and place.
         bias_deg: Root mean square magnitude of the rotation bias, fixed per seed and place.
+        nearest: Smallest distance at which a sphere is measured, along the direction in which the tracker looks, m.
+        farthest: Largest distance.
+        half_width: Half width and half height of the measuring volume at a distance, as a fraction of it. The default
+            is wider than that of a real tracker, so that the tool is measured in its home posture, too.
     """
 
     rate_hz: Positive = 60.0
     latency: NotNegative = 0.030
-    jitter_mm: NotNegative = 0.03
-    jitter_deg: NotNegative = 0.02
+    jitter_mm: NotNegative = 0.005
     bias_mm: NotNegative = 0.10
     bias_deg: NotNegative = 0.03
+    nearest: NotNegative = 0.5
+    farthest: Positive = 2.4
+    half_width: Positive = 0.9
 
 
 class DigitizationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -12,6 +12,9 @@ import numpy.typing as npt
 
 from pcmrs.spatial import Floats
 from pcmrs_sim import femur, head
+from pcmrs_sim.femur import FEMUR
+from pcmrs_sim.head import HEAD
+from pcmrs_sim.phantom import Phantom
 
 Field = Callable[[Floats], Floats]
 """Implicit function at points (..., 3), m: negative inside, zero on the surface, positive outside; (...,)."""
@@ -40,6 +43,10 @@ def femur_surface() -> tuple[Floats, Ints]:
     low = np.min([np.minimum(part.start, part.end) - part.radius for part in femur.BONE], axis=0)
     high = np.max([np.maximum(part.start, part.end) + part.radius for part in femur.BONE], axis=0)
     return mesh(femur.distances, low, high, FEMUR_CELL)
+
+
+SURFACES: dict[Phantom, Callable[[], tuple[Floats, Ints]]] = {HEAD: head_surface, FEMUR: femur_surface}
+"""Phantom to the function that returns its surface."""
 
 
 def mesh(field: Field, low: Floats, high: Floats, cell: float) -> tuple[Floats, Ints]:

@@ -11,13 +11,16 @@ from pcmrs.clock import Clock
 from pcmrs.devices.stream import Stream
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform
-from pcmrs_sim.error_models import TrackerErrors
+from pcmrs_sim.error_models import FEWEST_SPHERES, TrackerErrors
+from pcmrs_sim.markers import MARKER_BODIES
 from pcmrs_sim.tracker_faults import BODIES, TrackerFaults
 from pcmrs_sim.world import World
 
 
 class SimTracker:
     """Tracker that measures all bodies at its rate and publishes each frame when it is `latency` old.
+
+    The pose of a body is the rigid fit of its seen spheres. A body with fewer than three is lost.
 
     It implements `pcmrs.devices.protocols.TrackerDriver`.
 
@@ -39,7 +42,7 @@ class SimTracker:
         self._frame_number = 0
         self._pending: deque[list[BodyPose]] = deque()
         self._stream: Stream[Sequence[BodyPose]] = Stream()
-        self._jitter_free_poses: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
+        self._jitter_free_poses: dict[str, tuple[Transform, TrackerErrors, tuple[bool, ...], BodyPose]] = {}
         self.newest: Sequence[BodyPose] = ()
         self.faults = TrackerFaults()
 
@@ -88,16 +91,18 @@ class SimTracker:
 
     def _expose(self, body: str, time: float) -> BodyPose:
         tracker_from_body = self._world.tracker_from(body)
-        if tracker_from_body is None or body in self._world.hidden:
-            reason = "occluded" if body in self._world.hidden else "not_visible"
-            return BodyPose(
-                body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
-            )
+        if tracker_from_body is None:
+            return self._unseen(body, time, "not_visible")
+        sight = self._world.observe().sight(body)
+        if body in self._world.hidden or sight.inside.sum() >= FEWEST_SPHERES > sight.seen.sum():
+            return self._unseen(body, time, "occluded")
+        if sight.inside.sum() < FEWEST_SPHERES:
+            return self._unseen(body, time, "out_of_volume")
         # Without jitter, a body at rest has the same pose in each frame, which need not be computed again.
-        errors, cached = self._world.tracker_errors, self._jitter_free_poses.get(body)
-        if cached is not None and cached[:2] == (tracker_from_body, errors):
-            return msgspec.structs.replace(cached[2], frame_number=self._frame_number, captured=time, sent=time)
-        measured = errors.measure(tracker_from_body)
+        errors, cached, seen = self._world.tracker_errors, self._jitter_free_poses.get(body), tuple(sight.seen.tolist())
+        if cached is not None and cached[:3] == (tracker_from_body, errors, seen):
+            return msgspec.structs.replace(cached[3], frame_number=self._frame_number, captured=time, sent=time)
+        measured, error = errors.measure(tracker_from_body, MARKER_BODIES[body].positions, sight.seen)
         x, y, z = measured.translation.tolist()
         w, i, j, k = measured.quat_wxyz.tolist()
         pose = BodyPose(
@@ -108,8 +113,13 @@ class SimTracker:
             valid=True,
             position=(x, y, z),
             quat_wxyz=(w, i, j, k),
-            error=errors.fit_error(),
+            error=error,
         )
         if errors.jitter_free:
-            self._jitter_free_poses[body] = (tracker_from_body, errors, pose)
+            self._jitter_free_poses[body] = (tracker_from_body, errors, seen, pose)
         return pose
+
+    def _unseen(self, body: str, time: float, reason: str) -> BodyPose:
+        return BodyPose(
+            body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
+        )

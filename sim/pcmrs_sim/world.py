@@ -12,8 +12,10 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import HeadMotion, PoseMessage, SceneTruth
 from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.arm import Arm
+from pcmrs_sim.cell_state import CellState
 from pcmrs_sim.error_models import RestingPlaces, TouchErrors, TrackerErrors
 from pcmrs_sim.kinematic_arm import KinematicArm
+from pcmrs_sim.markers import MARKER_BODIES
 from pcmrs_sim.motion import Pivot, Slide, head_offset
 from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle
@@ -22,7 +24,9 @@ from pcmrs_sim.plant import STEP
 from pcmrs_sim.settings import ConfiguredPose, SimSettings
 from pcmrs_sim.tms.subject import Subject
 
-BODY_REF_FROM_WITNESS = Transform.from_rotvec((0.0, 0.08, 0.0), (0.3, 0.2, 0.0))
+AWAY = Transform(np.eye(3), np.array([0.0, 0.0, -3.0]))
+"""Pose of the pointer in the world while nobody holds it at the patient: below the floor, where no camera sees it."""
+BODY_REF_FROM_WITNESS = Transform.from_rotvec((0.0, -0.12, 0.0), (0.3, 0.2, 0.0))
 """Pose of a second marker body on the patient, in the reference as it is before anyone bumps it."""
 
 
@@ -57,24 +61,22 @@ class World:
         self.phantom = phantom = PHANTOMS[settings.phantom]
         self.time = time
         self._world_from_tracker = geometry.world_from_tracker.transform
-        self._tracker_from_world = self._world_from_tracker.inverse()
-        self._flange_from_tool_tip = geometry.flange_from_tool_tip.transform
-        self._tool_tip_from_tool_marker = geometry.tool_marker_from_tool_tip.transform.inverse()
         self.body_ref_from_image = _pose(geometry.body_ref_from_image, phantom.body_ref_from_image)
-        self._witness_from_image = BODY_REF_FROM_WITNESS.inverse() @ self.body_ref_from_image
         self.image_from_pointer: Transform | None = None
         self.pointer_motion: Pivot | Slide | None = None
         self.hidden: set[str] = set()
         self.pulse_listeners: list[Callable[[int, float, float], None]] = []
         make = KinematicArm if settings.arm.physics == "kinematic" else Arm
         self.arm: Arm | KinematicArm = make(facts, settings, force, phantom)
-        self._flange: Transform | None = None
         self._resting = RestingPlaces(settings.arm.repeatability_mm * 1e-3, settings.seed)
-        self._motion_of_arm, self._rest = self.arm.reference, self._resting.draw()
-        self._update_tool()
-        self._bodies: dict[str, tuple[Transform, Transform, Transform]] = {}
+        self._motion_of_arm: object = None
+        image_from_body_ref = self.body_ref_from_image.inverse()
+        self.arm.cell.fix("body_ref", image_from_body_ref)
+        self.arm.cell.fix("witness", image_from_body_ref @ BODY_REF_FROM_WITNESS)
+        self._placed_pointer: tuple[Transform | None, Transform] | None = None
         self._motion, self._motion_start = HeadMotion(), time
-        self._set_start_pose(self._tracker_from_world @ _pose(geometry.world_from_image, phantom.world_from_image))
+        world_from_image = _pose(geometry.world_from_image, phantom.world_from_image)
+        self._set_start_pose(self._world_from_tracker.inverse() @ world_from_image)
         self.reseed(settings.seed)
 
     def reseed(self, seed: int) -> None:
@@ -113,6 +115,7 @@ class World:
             old_from_new: New pose of its marker body in the frame of the old one.
         """
         self.body_ref_from_image = old_from_new.inverse() @ self.body_ref_from_image
+        self.arm.cell.fix("body_ref", self.body_ref_from_image.inverse())
 
     def stimulate(self, number: int, intensity: float, time: float) -> None:
         """Give a pulse from the true pose of the coil.
@@ -129,18 +132,27 @@ class World:
 
     def tracker_from_tool_tip(self) -> Transform:
         """Return the true pose of the tool's contact point; the same object as long as the arm stands still."""
-        self._update_tool()
-        return self._tool_tip
+        return self.observe().pose("tracker_from_tool_tip")
 
-    def _update_tool(self) -> None:
-        """Compute contact point and marker body of the tool, if the arm has moved."""
-        flange = self.arm.base_from_flange()
-        if flange is not self._flange:  # the arm returns the same object while it stands, so identity is enough
-            if self.arm.reference is not self._motion_of_arm:
-                self._motion_of_arm, self._rest = self.arm.reference, self._resting.draw()
-            placed = trusted_transform(flange.rotation, flange.translation + self._rest)
-            self._flange, self._tool_tip = flange, self._tracker_from_world @ placed @ self._flange_from_tool_tip
-            self._tool_marker = self._tool_tip @ self._tool_tip_from_tool_marker
+    def observe(self) -> CellState:
+        """Return the model of the cell with all bodies where they are now."""
+        cell = self.arm.observe()
+        if self.arm.reference is not self._motion_of_arm:
+            self._motion_of_arm = self.arm.reference
+            cell.displace_arm(self._resting.draw())
+        held = self._image_from_pointer()
+        placed = self._placed_pointer
+        if placed is None or placed[0] is not held or placed[1] is not self.tracker_from_image:
+            self._placed_pointer = held, self.tracker_from_image
+            cell.place("pointer", AWAY if held is None else self._world_from_tracker @ self.tracker_from_image @ held)
+        return cell
+
+    def spheres_seen_with(self, image_from_pointer: Transform) -> int:
+        """Return how many spheres of all marker bodies the tracker would see with the pointer at a pose."""
+        cell = self.observe()
+        cell.place("pointer", self._world_from_tracker @ self.tracker_from_image @ image_from_pointer)
+        self._placed_pointer = None  # so that it returns
+        return sum(int(cell.sight(body).seen.sum()) for body in MARKER_BODIES)
 
     def is_near_body(self, within: float) -> bool:
         """Return whether the body is in front of the face of the tool, within a distance, m."""
@@ -151,23 +163,22 @@ class World:
 
     def tracker_from_body_ref(self) -> Transform:
         """Return the true pose of the reference; the same object as long as nothing moves it."""
-        return self._fixed("body_ref", self.body_ref_from_image)
+        return self.observe().pose("tracker_from_body_ref")
 
     def tracker_from(self, body: str) -> Transform | None:
-        """Return the true pose of a tracked body; None if it is outside the tracker's view."""
-        if body == "coil":
-            self._update_tool()
-            return self._tool_marker
-        if body == "body_ref":
-            return self.tracker_from_body_ref()
-        if body == "witness":
-            return self._fixed("witness", self._witness_from_image)
-        return self._tracker_from_pointer()
+        """Return the true pose of a tracked body, the same object as long as nothing moves it.
+
+        It is None for a pointer that nobody holds at the patient.
+        """
+        if body == "pointer" and self._image_from_pointer() is None:
+            return None
+        return self.observe().pose(f"tracker_from_{body}")
 
     def truth(self) -> SceneTruth:
         """Return the present true state."""
         tip_in_pointer = self.settings.geometry.pointer_from_tip.position
-        pointer = self._tracker_from_pointer()
+        held = self._image_from_pointer() is not None
+        tip = self.observe().pose("tracker_from_pointer_tip").translation
         subject = self.muscle.subject
         known = subject if isinstance(subject, Subject) else None
         return SceneTruth(
@@ -177,37 +188,33 @@ class World:
             time=self.time,
             contact_force=self.arm.contact.force,
             tip_in_pointer=tip_in_pointer,
-            tip_in_tracker=None if pointer is None else _triple(pointer @ tip_in_pointer),
+            tip_in_tracker=_triple(tip) if held else None,
             image_from_hotspot=None if known is None else _message(known.image_from_hotspot),
             threshold=None if known is None else float(known.recruitment.threshold),
         )
 
-    def _fixed(self, body: str, body_from_image: Transform) -> Transform:
-        """Return the true pose of a body that is fixed to the patient; it is computed only if an input has changed."""
-        cached = self._bodies.get(body)
-        if cached is None or cached[0] is not self.tracker_from_image or cached[1] is not body_from_image:
-            pose = self.tracker_from_image @ body_from_image.inverse()
-            cached = self._bodies[body] = (self.tracker_from_image, body_from_image, pose)
-        return cached[2]
-
-    def _tracker_from_pointer(self) -> Transform | None:
+    def _image_from_pointer(self) -> Transform | None:
+        """Return the present pose of the pointer at the patient; None if it is away."""
         if self.pointer_motion is not None and self.time > self.pointer_motion.end:
             self.pointer_motion = None
-        image_from_pointer = self.image_from_pointer
-        if self.pointer_motion is not None:
-            image_from_pointer = self.pointer_motion.image_from_pointer(self.time)
-        return None if image_from_pointer is None else self.tracker_from_image @ image_from_pointer
+        moving = self.pointer_motion
+        return self.image_from_pointer if moving is None else moving.image_from_pointer(self.time)
 
     def _set_start_pose(self, tracker_from_image: Transform) -> None:
         """Place the patient at a pose, from which its motion is measured."""
-        self._tracker_from_image_at_start = self.tracker_from_image = tracker_from_image
-        self.arm.contact.place(self._world_from_tracker @ tracker_from_image)
+        self._tracker_from_image_at_start = tracker_from_image
+        self._place_patient(tracker_from_image)
 
     def _apply_motion(self) -> None:
         """Place the patient at its pose at the present time."""
         offset = head_offset(self._motion, self.time - self._motion_start)
-        self.tracker_from_image = _shifted(offset, self._tracker_from_image_at_start)
-        self.arm.contact.place(self._world_from_tracker @ self.tracker_from_image)
+        self._place_patient(_shifted(offset, self._tracker_from_image_at_start))
+
+    def _place_patient(self, tracker_from_image: Transform) -> None:
+        self.tracker_from_image = tracker_from_image
+        world_from_image = self._world_from_tracker @ tracker_from_image
+        self.arm.contact.place(world_from_image)
+        self.arm.cell.place("body", world_from_image)
 
 
 def _pose(configured: ConfiguredPose | None, default: Transform) -> Transform:

@@ -11,6 +11,7 @@ COMMANDS = {
     "kst": LazyCommand("pcmrs_sim.cli.commands:kst"),
     "ndi": LazyCommand("pcmrs_sim.cli.commands:ndi"),
     "muscle": LazyCommand("pcmrs_sim.cli.muscle:muscle"),
+    "render": LazyCommand("pcmrs_sim.cli.pictures:render"),
     "faults": LazyCommand("pcmrs_sim.cli.commands:faults"),
 }
 

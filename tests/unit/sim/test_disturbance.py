@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats
+from pcmrs_sim.cell_model import cell_model
 from pcmrs_sim.disturbance import OFFSET_SPEED, Disturbance, PlantDisturbance
 from pcmrs_sim.head import HEAD
-from pcmrs_sim.plant import STEP, plant_model
-from pcmrs_sim.settings import ArmSettings, GeometrySettings
+from pcmrs_sim.plant import STEP
+from pcmrs_sim.settings import SimSettings
 from tests.unit.sim.simulated_arms import FACTS, HOME
 
 offsets = st.lists(st.floats(-0.2, 0.2), min_size=7, max_size=7).map(np.array)
@@ -48,7 +49,7 @@ def test_without_offset_the_commanded_sample_is_followed() -> None:
 @pytest.mark.parametrize("push", [20.0, -20.0])
 def test_a_push_is_the_transposed_jacobian_times_the_force(push: float) -> None:
     """The force is along the tool's +z, at its marker body."""
-    model = plant_model(FACTS, ArmSettings(), GeometrySettings().flange_from_tool_tip.transform, HEAD)
+    model = cell_model(FACTS, SimSettings(), HEAD)
     data = mujoco.MjData(model)
     data.qpos[:] = HOME
     mujoco.mj_forward(model, data)

@@ -1,10 +1,12 @@
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.spatial import Transform, distance
-from pcmrs_sim.error_models import BiasField, TouchErrors, TrackerErrors, displaced
+from pcmrs.spatial import Floats, Transform, distance
+from pcmrs_sim.error_models import BASELINE, BiasField, TouchErrors, TrackerErrors, displaced
+from pcmrs_sim.markers import MARKER_BODIES
 from pcmrs_sim.settings import DigitizationSettings, TrackerSettings
 
 PLACES = np.random.default_rng(0).uniform(-2.0, 2.0, (4000, 3))
@@ -42,22 +44,53 @@ def test_the_arm_is_built_the_same_for_a_seed() -> None:
     assert displaced(facts, 0.0, 3) == facts
 
 
-def test_jitter_has_its_deviation_per_axis() -> None:
-    settings = TrackerSettings(bias_mm=0.0, bias_deg=0.0)
-    errors = TrackerErrors(settings, np.random.default_rng(3))
-    measured = [errors.measure(TRUE_POSE) for _ in range(4000)]
-    translations = np.array([pose.translation - TRUE_POSE.translation for pose in measured])
-    turns = np.array([Transform(pose.rotation @ TRUE_POSE.rotation.T, np.zeros(3)).rotvec for pose in measured])
-    assert translations.std(axis=0) == pytest.approx(3e-5, rel=0.05)
-    assert np.degrees(turns.std(axis=0)) == pytest.approx(0.02, rel=0.05)
-    assert np.abs(translations.mean(axis=0)).max() < 2e-6
+SPHERES = MARKER_BODIES["coil"].positions
+ALL = np.ones(len(SPHERES), dtype=bool)
+
+
+def jitter(pose: Transform, seen: npt.NDArray[np.bool_] = ALL, count: int = 3000) -> tuple[Floats, Floats, float]:
+    """Deviations of translation, m, and rotation, rad, in the tracker frame, (3,) each; rms fit error, m."""
+    errors = TrackerErrors(TrackerSettings(bias_mm=0.0, bias_deg=0.0), np.random.default_rng(3))
+    measured, fits = zip(*(errors.measure(pose, SPHERES, seen) for _ in range(count)), strict=True)
+    turns = [Transform(each.rotation @ pose.rotation.T, np.zeros(3)).rotvec for each in measured]
+    translations = np.array([each.translation for each in measured])
+    assert np.abs(translations.mean(axis=0) - pose.translation).max() < 2e-6
+    return translations.std(axis=0), np.std(turns, axis=0), float(np.sqrt(np.mean(np.square(fits))))
+
+
+def test_the_noise_of_spheres_is_that_of_two_cameras() -> None:
+    """At 1.2 m straight ahead: s r across the line of sight and 2 r^2 s / b along it, over four spheres."""
+    translation, rotation, _ = jitter(Transform(np.eye(3), np.array((0.0, 0.0, -1.2))))
+    lateral, depth = 5e-6 * 1.2, 5e-6 * 2 * 1.2**2 / BASELINE
+    assert translation == pytest.approx(np.array((lateral, lateral, depth)) / 2.0, rel=0.05)
+    spread = np.sqrt(np.sum(SPHERES**2, axis=0))
+    in_plane = lateral / np.hypot(spread[0], spread[1])
+    assert rotation[2] == pytest.approx(in_plane, rel=0.05)
+    assert np.degrees(rotation[:2]).max() < 0.04
+    assert rotation[:2].min() > 3.0 * in_plane
+
+
+def test_the_pose_is_worse_far_away_and_with_fewer_spheres() -> None:
+    near, far = (Transform(np.eye(3), np.array((0.0, 0.0, -depth))) for depth in (1.0, 2.0))
+    assert jitter(far)[0][2] == pytest.approx(4.0 * jitter(near)[0][2], rel=0.1)
+    assert jitter(far)[0][0] == pytest.approx(2.0 * jitter(near)[0][0], rel=0.1)
+    three = jitter(near, np.array((True, True, True, False)))
+    assert np.linalg.norm(three[1]) > 1.1 * np.linalg.norm(jitter(near)[1])
+
+
+def test_the_fit_error_is_the_scatter_that_the_pose_leaves() -> None:
+    """Of the 12 coordinates of four spheres, six go into the pose."""
+    depth = 5e-6 * 2 * 1.0 / BASELINE
+    fit = jitter(Transform(np.eye(3), np.array((0.0, 0.0, -1.0))))[2]
+    assert 0.3 * depth < fit < depth
 
 
 def test_a_perfect_tracker_tells_the_truth() -> None:
-    errors = TrackerErrors(TrackerSettings(60.0, 0.03, 0.0, 0.0, 0.0, 0.0), np.random.default_rng(0))
-    measured = errors.measure(TRUE_POSE)
-    assert np.allclose(measured.matrix, TRUE_POSE.matrix, atol=1e-15)
-    assert errors.fit_error() == 0.0
+    errors = TrackerErrors(TrackerSettings(jitter_mm=0.0, bias_mm=0.0, bias_deg=0.0), np.random.default_rng(0))
+    measured, fit = errors.measure(TRUE_POSE, SPHERES, ALL)
+    assert np.allclose(measured.matrix, TRUE_POSE.matrix, atol=1e-12)
+    assert fit < 1e-12
+    assert errors.jitter_free
 
 
 def test_touches_combine_to_the_stated_deviation() -> None:

@@ -14,7 +14,7 @@ from pcmrs_sim.settings import SimSettings
 from tests.unit.sim.cell_readings import Devices, next_frames, transform
 
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-ERRORLESS = {"jitter_mm": 0.0, "jitter_deg": 0.0, "bias_mm": 0.0, "bias_deg": 0.0}
+ERRORLESS = {"jitter_mm": 0.0, "bias_mm": 0.0, "bias_deg": 0.0}
 
 
 async def frames(cell: Devices, count: int) -> list[dict[str, BodyPose]]:

@@ -1,12 +1,16 @@
 """Frames of the simulated tracker: rate, latency, accuracy and hidden bodies."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
-from pcmrs.spatial import distance
+from pcmrs.spatial import Transform, distance
 from pcmrs_sim.cell import BATCH
+from pcmrs_sim.markers import MARKER_BODIES
+from pcmrs_sim.opening import open_devices
 from pcmrs_sim.plant import STEP
 from pcmrs_sim.settings import GeometrySettings
 from tests.unit.sim.cell_readings import Devices, next_frames, transform
@@ -51,3 +55,35 @@ async def test_occluded_bodies_are_invalid_until_shown(cell: Devices) -> None:
     assert (await next_frames(cell, 5))[-1][0].valid
     with pytest.raises(DeviceError, match="nose"):
         await cell["scene"].occlude("nose", True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"tracker": {"farthest": 0.9}}, "out_of_volume"),
+        # Half a turn about its x axis: the spheres look away from the tracker.
+        ({"geometry": {"tool_marker_from_tool_tip": {"quat_wxyz": (-0.4, 0.8, 0.4, -0.2)}}}, "occluded"),
+    ],
+)
+async def test_a_tool_that_cannot_be_seen_is_lost(settings: dict[str, Any], reason: str, clock: Clock) -> None:
+    async with open_devices(("tracker",), {"sim": settings}, clock) as devices:
+        coil, _, _, _ = (await next_frames(devices, 3))[-1]
+    assert (coil.valid, coil.reason) == (False, reason)
+
+
+async def test_of_three_spheres_the_pose_is_still_measured(clock: Clock) -> None:
+    """A hand before one sphere of the reference: the fit gets worse, and the pose stays right."""
+    async with open_devices(("tracker", "scene"), {"sim": {"tracker": {"jitter_mm": 0.0}}}, clock) as devices:
+        before, during = (await next_frames(devices, 2))[-1][1], None
+        world = devices["scene"]._world
+        sight = world.tracker_from_image.inverse().translation
+        reference = world.body_ref_from_image.inverse()
+        for sphere in reference @ MARKER_BODIES["body_ref"].positions:
+            world.image_from_pointer = Transform(
+                np.eye(3), sphere + 0.15 * (sight - sphere) / np.linalg.norm(sight - sphere)
+            )
+            if world.observe().sight("body_ref").seen.sum() == 3:
+                during = (await next_frames(devices, 4))[-1][1]
+                assert during.valid
+                assert distance(transform(during), transform(before)) < 1e-9
+    assert during is not None, "one of the places hides a single sphere"

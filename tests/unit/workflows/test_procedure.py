@@ -43,7 +43,7 @@ async def test_every_step_of_the_procedure_once() -> None:
 
 async def test_registration_and_placement_are_exact_without_errors() -> None:
     exact = {
-        "tracker": {"jitter_mm": 0.0, "jitter_deg": 0.0, "bias_mm": 0.0, "bias_deg": 0.0},
+        "tracker": {"jitter_mm": 0.0, "bias_mm": 0.0, "bias_deg": 0.0},
         "digitization": {"planning_bias_mm": 0.0, "noise_mm": 0.0, "reach_time": 0.05, "rest_time": 0.05},
     }
     async with open_bench(sim=exact) as bench:

@@ -21,7 +21,6 @@ SLOWER = (
     "sim.arm.state_rate_hz=3.125",
     "sim.tracker.latency=0.0",
     "sim.tracker.jitter_mm=0.0",
-    "sim.tracker.jitter_deg=0.0",
     "procedure.max_pose_age=0.6",
     "procedure.placement.frames=2",
     "procedure.registration.samples=2",

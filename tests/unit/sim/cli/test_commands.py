@@ -60,7 +60,7 @@ def test_the_faults_are_listed() -> None:
     assert "B5   e_stop <on>" in text
 
 
-@pytest.mark.parametrize("command", ["kst", "ndi", "cell", "faults"])
+@pytest.mark.parametrize("command", ["kst", "ndi", "cell", "render", "faults"])
 def test_every_command_says_how_it_is_used(command: str) -> None:
     help_text = CliRunner().invoke(main, [command, "--help"]).output
     assert "Example: " in help_text
