@@ -138,11 +138,21 @@ def solve(request: InputParameter) -> Trajectory:
     Raises:
         GeometryError: There is none.
     """
-    profile = Trajectory(request.degrees_of_freedom)
     try:
-        Ruckig(request.degrees_of_freedom).calculate(request, profile)
+        return _calculated(request)
+    except RuckigError:
+        # Ruckig finds no profile if the greatest acceleration is reached for an instant only: a distance of
+        # 2 a^3 / j^2 between two places at rest. A slightly smaller one is within the limits, too.
+        request.max_acceleration = [(1.0 - 1e-6) * each for each in request.max_acceleration]
+    try:
+        return _calculated(request)
     except RuckigError as error:
         raise GeometryError(f"No motion profile exists: {error}; check positions, velocities and limits.") from error
+
+
+def _calculated(request: InputParameter) -> Trajectory:
+    profile = Trajectory(request.degrees_of_freedom)
+    Ruckig(request.degrees_of_freedom).calculate(request, profile)
     return profile
 
 

@@ -2,7 +2,7 @@
 
 The makers give the accuracy of a single marker, as a 3D rms over the measuring volume. It has a part that differs from
 frame to frame, and a part that stays as long as a body rests. The first was measured by others (`_JITTER`); the second
-is what is left of the sum of squares. Both are carried over to a marker body of four markers, 50 mm from its middle.
+is what is left of the sum of squares.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from pcmrs_sim.error_models import BASELINE
+
 TrackerName = Literal["vicra", "vega", "spectra"]
 """Trackers of Northern Digital: Polaris Vicra, Vega ST and Spectra."""
 NAMES: tuple[TrackerName, ...] = get_args(TrackerName)
 
 ARM_REPEATABILITY_MM = 0.15
 """Pose repeatability of the LBR iiwa 14 R820 by ISO 9283, from its data sheet, mm."""
-_RADIUS_MM = 50.0
-"""Distance of the markers from the middle of a marker body, mm."""
+_DISTANCE = 1.2
+"""Distance from the tracker at which the jitter of a tool is that of the sheet, m: that of the simulated cell."""
 _MARKERS = 4
 _BIAS_DEG_PER_MM = 0.3
 """Rotation of a marker body by an error that hardly changes over its size, relative to that error: as in the defaults
@@ -59,16 +61,15 @@ def data_sheet_settings(name: TrackerName, *, virtual: bool) -> list[str]:
         name: Name of the tracker.
         virtual: True if the driver of the real tracker reads it; its latency is then configured, too.
     """
-    sheet, jitter_mm = SHEETS[name], _JITTER[name] / math.sqrt(3.0)
-    # The mean of all markers is steadier than each; each of them rotates the body by its error over the radius.
-    marker_mm = jitter_mm * math.sqrt(_MARKERS)
-    jitter_deg = math.degrees(marker_mm / (_RADIUS_MM * math.sqrt(_MARKERS / 2.0)))
+    sheet = SHEETS[name]
+    # Of a sphere: along two axes across its line of sight, and along it (`pcmrs_sim.error_models.TrackerErrors`).
+    of_sphere = math.hypot(_DISTANCE, _DISTANCE, 2.0 * _DISTANCE**2 / BASELINE)
+    jitter_mm = _JITTER[name] * math.sqrt(_MARKERS) / of_sphere  # the mean of all markers is steadier than each
     bias_mm = math.sqrt(sheet.accuracy_mm**2 - _JITTER[name] ** 2)
     settings = {
         "sim.tracker.rate_hz": sheet.rate_hz,
         "sim.tracker.latency": sheet.latency,
         "sim.tracker.jitter_mm": round(jitter_mm, 4),
-        "sim.tracker.jitter_deg": round(jitter_deg, 4),
         "sim.tracker.bias_mm": round(bias_mm, 4),
         "sim.tracker.bias_deg": round(_BIAS_DEG_PER_MM * bias_mm, 4),
         "sim.arm.repeatability_mm": ARM_REPEATABILITY_MM,

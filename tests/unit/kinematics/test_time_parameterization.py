@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,13 @@ from scipy import interpolate
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.time_parameterization import CubicSpline, ProgressLimits, time_parameterize
+from pcmrs.kinematics.time_parameterization import (
+    CubicSpline,
+    ProgressLimits,
+    joint_request,
+    solve,
+    time_parameterize,
+)
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform, distance
@@ -179,3 +186,18 @@ def test_a_cubic_is_its_own_spline(order: int) -> None:
     at = np.linspace(0.0, 2.5, 41)
     spline = CubicSpline(places, cubic(places)[:, None])
     np.testing.assert_allclose(spline(at, order)[:, 0], cubic.deriv(order)(at), atol=1e-9)
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_acceleration_may_be_greatest_for_an_instant(joint: int) -> None:
+    """A distance of 2 a^3 / j^2: Ruckig alone finds no profile for about every second of them."""
+    acceleration, jerk = 3.0, 30.0
+    limits = replace(LIMITS, joint_acceleration=(acceleration,) * 7, joint_jerk=(jerk,) * 7)
+    for start in np.linspace(-1.5, 1.5, 31):
+        request = joint_request(np.full(7, 2.0), limits)
+        positions = np.zeros(7)
+        positions[joint] = start
+        request.current_position = positions.tolist()
+        positions[joint] += 2.0 * acceleration**3 / jerk**2
+        request.target_position = positions.tolist()
+        assert solve(request).duration == pytest.approx(4.0 * acceleration / jerk, rel=1e-4)

@@ -34,7 +34,7 @@ def test_impossible_arguments_are_refused_in_one_sentence(arguments: list[str], 
 @pytest.mark.usefixtures("quiet_log")
 def test_taken_port_is_reported_with_the_remedy(taken_port: int) -> None:
     ended = CliRunner().invoke(main, ["kst", "--port", str(taken_port)])
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert "Choose another port" in ended.stderr
 
 
