@@ -100,7 +100,7 @@ def test_the_base_install_is_imported_without_any_extra(hiding: str) -> None:
 
 def test_a_workflow_is_verified_without_any_extra() -> None:
     done = run_pcmrs(WINDOWS, "fsm", "verify", str(RATMS))
-    assert (done.returncode, "sound: 39 joint states" in done.stdout) == (0, True), done.stderr
+    assert (done.returncode, "sound: 40 joint states" in done.stdout) == (0, True), done.stderr
     assert "are not checked" in done.stderr
     assert "install the extra daemon" in done.stderr
 
