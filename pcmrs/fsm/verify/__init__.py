@@ -23,6 +23,7 @@ CHECKED_IF_COMPLETE = (
     _structure.activities,
     _liveness.deadlocks,
     _liveness.goals,
+    _liveness.stages,
     _liveness.releases,
     _hazards.ways_back,
     _hazards.repetitions,
