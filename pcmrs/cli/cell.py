@@ -1,4 +1,4 @@
-"""Commands on a running cell: call, state, watch, keys, stop."""
+"""Commands on a running cell: call, next, state, watch, keys, stop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.errors import PayloadError, PcmrsError
-from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import DeviceEvent, NextStep, Snapshot, UnknownOutcome, Verdict
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.
@@ -41,7 +41,31 @@ def call(operation: str, arguments: str, as_json: bool, address: CellAddress) ->
     say(_json(verdict) if as_json else event_line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         say(f"  allowed now: {', '.join(verdict.allowed)}")
+    if verdict.reason is not None and "next" in verdict.reason.fields and not as_json:
+        say(f"  next: {verdict.reason.fields['next']}")
     sys.exit(STATUS[verdict.decision])
+
+
+@click.command("next")
+@click.argument("operation", metavar="[BRANCH.OPERATION]", default="")
+@json_option
+@address_options
+@readable_errors
+def next_(operation: str, as_json: bool, address: CellAddress) -> None:
+    """Print the next step of the procedure, or the next step towards an operation, and why.
+
+    It follows from the verified workflow and the present states. Checks of data and devices may still refuse it.
+
+    Exit status: 0 there is one or nothing is left, 1 nothing leads on, 3 no daemon.
+
+    Example: pcmrs next placement.approach
+    """
+    found = run(_next(address, operation))
+    if as_json:
+        say(_json(found))
+    else:
+        _print_next(found)
+    sys.exit(0 if found.next or not (operation or found.stage) else EXIT_REJECTED)
 
 
 @click.command()
@@ -101,6 +125,11 @@ def stop(address: CellAddress) -> None:
 async def _call(address: CellAddress, operation: str, arguments: dict[str, Any]) -> Verdict:
     async with address.connect() as client:
         return await client.call(operation, arguments)
+
+
+async def _next(address: CellAddress, operation: str) -> NextStep:
+    async with address.connect() as client:
+        return await client.next_step(operation)
 
 
 async def _state(address: CellAddress) -> Snapshot:
@@ -169,6 +198,15 @@ def event_line(event: Event) -> str:
     if event.reason is not None:
         line += f": {event.reason.code}: {event.reason.text}"
     return line + (f" {json.dumps(event.result)}" if event.result else "")
+
+
+def _print_next(found: NextStep) -> None:
+    if found.next:
+        say(f"{'wait for' if found.awaited else 'next'}: {found.next}")
+    say(found.why)
+    for stage in found.stages:
+        mark = "x" if stage.reached else ">" if stage.id == found.stage else " "
+        say(f"[{mark}] {stage.id}: {stage.title}")
 
 
 def _unknown(outcome: UnknownOutcome) -> str:

@@ -12,7 +12,10 @@ from pcmrs.messages._decisions import (
     DryRunResult,
     JournalPage,
     JournalQuery,
+    NextStep,
+    NextStepRequest,
     Reason,
+    StageShown,
     Verdict,
 )
 from pcmrs.messages._poses import BodyPose, LandmarkPrompt, PoseMessage, Target
@@ -82,6 +85,8 @@ __all__ = [
     "Message",
     "MotionOutcome",
     "MotionResult",
+    "NextStep",
+    "NextStepRequest",
     "NodeBeat",
     "PoseMessage",
     "PressRequest",
@@ -90,6 +95,7 @@ __all__ = [
     "SceneTruth",
     "ServoSession",
     "Snapshot",
+    "StageShown",
     "StimulatorState",
     "StopState",
     "Target",
