@@ -18,9 +18,9 @@ HOLD_SCRIPT = Path(__file__).with_name("hold.js")
 """Script of the browser that reports a button which was pressed and held."""
 STYLE = """
 .asking .q-btn[disabled] { pointer-events: none; }
-.asking [data-hold] { background-image: linear-gradient(#ffffff66, #ffffff66); background-repeat: no-repeat;
-  background-size: 0 100%; touch-action: none; user-select: none; -webkit-touch-callout: none; }
-.asking [data-hold].holding { background-size: 100% 100%; transition: background-size 0.8s linear; }
+.asking [data-hold] { touch-action: none; user-select: none; -webkit-touch-callout: none; }
+.asking [data-hold]::after { content: ""; position: absolute; inset: 0 auto 0 0; width: 0; background: #ffffff66; }
+.asking [data-hold].holding::after { width: 100%; transition: width 0.8s linear; }
 """
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pcmrs.console._choices import Choice
-from pcmrs.console.planning._draft import Kind
 from pcmrs.console.texts import Texts
 from pcmrs.messages import NextStep, Running, Snapshot
 from pcmrs.messages.setup import ProcedureDataView
@@ -17,8 +16,6 @@ Press = Literal["ask", "plan", "none"]
 
 LANDMARK = "landmark_index"
 """Registered name of the arguments of operations on one landmark."""
-PLANS: tuple[str, ...] = get_args(Kind)
-"""Registered names of the arguments that are planned on the surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +64,12 @@ def landmark_prompt(data: ProcedureDataView, index: int, texts: Texts) -> str:
 
 
 def next_button(
-    found: NextStep, shown: Snapshot, choices: Mapping[str, Choice], data: ProcedureDataView, texts: Texts
+    found: NextStep,
+    shown: Snapshot,
+    choices: Mapping[str, Choice],
+    data: ProcedureDataView,
+    planned: Container[str],
+    texts: Texts,
 ) -> NextButton:
     """Return the button for the next step.
 
@@ -76,6 +78,7 @@ def next_button(
         shown: The present snapshot.
         choices: Operations by name.
         data: Data of the procedure.
+        planned: Registered names of the arguments that are planned on the surface.
         texts: Texts in the language of the page.
     """
     if shown.running:
@@ -93,7 +96,7 @@ def next_button(
     if choice.payload == LANDMARK and index is not None:
         label, arguments = texts("touch_landmark", which=landmark_prompt(data, index, texts)), {"index": index}
     why = choice.why_not or (texts("next_why", stage=stage) if stage else texts("next_release"))
-    press: Press = "plan" if choice.payload in PLANS else "ask"
+    press: Press = "plan" if choice.payload in planned else "ask"
     return NextButton(press, found.next, label, why, not choice.why_not, choice.moves, arguments)
 
 

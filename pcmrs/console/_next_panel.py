@@ -13,6 +13,7 @@ from pcmrs.console._choices import Choice
 from pcmrs.console._next import NextButton, next_button
 from pcmrs.console._progress import RemainingTime
 from pcmrs.console._stop_report import StopReport, stop_report
+from pcmrs.console.planning.panel import NAMES
 from pcmrs.dispatcher.next_step import next_step
 from pcmrs.fsm import Blueprint, guide_for
 from pcmrs.messages import NextStep, Running, Snapshot
@@ -69,7 +70,7 @@ class NextPanel:
         self._choices = choices
         stop = shown.stop.number if shown.latched else None
         found = next_step(self._guide, shown.branches, stop=stop)
-        self._shown = button = next_button(found, shown, choices, self._view.data, self._texts)
+        self._shown = button = next_button(found, shown, choices, self._view.data, NAMES, self._texts)
         self._button.refresh(
             ButtonState(button.label, button.meaning, why_not=button.why, help=button.why, moves=button.moves)
         )

@@ -7,7 +7,7 @@ from pcmrs.fsm.closure import Change, Closure, Denial, Effect, close
 from pcmrs.fsm.engine import Engine
 from pcmrs.fsm.files.load import BlueprintExamination, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.guide import Guidance, Guide, guide_for
+from pcmrs.fsm.verify.guide import Guidance, Guide, guide_for
 
 __all__ = [
     "START_OUTCOME",

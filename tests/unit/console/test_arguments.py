@@ -22,7 +22,8 @@ from tests.unit.console.detached_page import ENGLISH
 
 
 def argument(**given: Any) -> ArgumentShown:
-    return ArgumentShown(**{"name": "it", "kind": "number", "required": True} | given)
+    fields: dict[str, Any] = {"name": "it", "kind": "number", "required": True}
+    return ArgumentShown(**fields | given)
 
 
 @pytest.mark.parametrize(

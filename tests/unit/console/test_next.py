@@ -9,6 +9,7 @@ import msgspec
 
 from pcmrs.console._choices import Choices
 from pcmrs.console._next import NextButton, next_button, open_landmark
+from pcmrs.console.planning.panel import NAMES as NAMES_OF_PLANS
 from pcmrs.dispatcher.next_step import next_step
 from pcmrs.fsm import guide_for
 from pcmrs.messages import BlueprintTag, Running, Snapshot, StopState
@@ -45,7 +46,7 @@ def button(snapshot: Snapshot, touched: int = 0, why_not: str = "", **who: Any) 
     choices = CHOICES.all(snapshot, msgspec.structs.replace(setup(), **who))
     if why_not:
         choices = {name: replace(each, why_not=why_not) for name, each in choices.items()}
-    return next_button(found, snapshot, choices, data(touched), ENGLISH)
+    return next_button(found, snapshot, choices, data(touched), NAMES_OF_PLANS, ENGLISH)
 
 
 def test_plans_are_made_on_the_surface() -> None:

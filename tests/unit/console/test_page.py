@@ -81,7 +81,8 @@ async def key(page: DetachedPage, name: str) -> None:
     event: Any = SimpleNamespace(action=SimpleNamespace(keydown=True), key=SimpleNamespace(name=name))
     with page.client:
         for keyboard in [each for each in page.client.elements.values() if isinstance(each, ui.keyboard)]:
-            for handler in keyboard._key_handlers:
+            handlers: list[Any] = [*keyboard._key_handlers]
+            for handler in handlers:
                 if inspect.isawaitable(result := handler(event)):
                     await result
     await settle()

@@ -29,7 +29,7 @@ def pressed(number: int, by: str) -> DeviceEvent:
 
 
 def test_the_newest_stop_is_told_with_what_it_has_ended() -> None:
-    events = [
+    events: list[Verdict | DeviceEvent] = [
         pressed(6, "bus:ben"),
         ended("placement", "home", "Stopped by bus:ben."),
         pressed(7, "bus:anna"),
@@ -46,7 +46,10 @@ def test_the_newest_stop_is_told_with_what_it_has_ended() -> None:
 def test_checks_follow_from_what_is_not_known() -> None:
     unknown = UnknownOutcome(command="1", source="bus:anna", branch="placement", operation="approach", since=0.0)
     shown = replace(LATCHED, stop=StopState(number=7), unknown=[unknown])
-    events = [(0.0, pressed(7, "robot")), (1.0, ended("stimulation", "fire", "Stopped by robot.", "unknown"))]
+    events: list[tuple[float, Verdict | DeviceEvent]] = [
+        (0.0, pressed(7, "robot")),
+        (1.0, ended("stimulation", "fire", "Stopped by robot.", "unknown")),
+    ]
     report = stop_report(shown, events, BLUEPRINT)
     assert report is not None
     assert report.checks == ("check_standstill", "check_arm", "check_patient", "check_unknown", "check_cause")

@@ -10,10 +10,9 @@ import msgspec
 import pytest
 from hypothesis import given
 
-from pcmrs.fsm import Blueprint, Closure, Guide, examine, parse_blueprint
+from pcmrs.fsm import Blueprint, Closure, Guide, examine, guide_for, parse_blueprint
 from pcmrs.fsm.behaviour import Joint, behaviour, branch_states, joint_of
 from pcmrs.fsm.files.load import content_hash
-from pcmrs.fsm.guide import guide_for
 from tests import ROOT
 from tests.support.shipped import NAMES, shipped_blueprint, unverified_blueprint
 from tests.support.trials import examples
@@ -226,7 +225,7 @@ def test_workflow_without_stages_is_led_to_its_goal() -> None:
 
 
 def test_too_many_joint_states_mean_no_hints(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.fsm.guide.MAX_JOINT_STATES", 10)
+    monkeypatch.setattr("pcmrs.fsm.verify.guide.MAX_JOINT_STATES", 10)
     guide = Guide(RATMS)
     assert guide.next_stage(states()).path == ()
     assert guide.to_operation(states(), "robot.connect").path == ()

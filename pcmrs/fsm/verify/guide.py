@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import MAX_JOINT_STATES
 from pcmrs.fsm.blueprint import Blueprint, StageSpec
 from pcmrs.fsm.verify._encoding import Mask
+from pcmrs.fsm.verify._relation import Relation
 from pcmrs.fsm.verify._search import SearchLimitError
-from pcmrs.fsm.verify._space import StateSpace
+from pcmrs.fsm.verify._space import Operation, StateSpace
 
 Numbers = NDArray[np.int64]
 
@@ -153,6 +154,11 @@ def holds(requirement: Mapping[str, list[str]], states: Mapping[str, str]) -> bo
     return all(states[branch] in wanted for branch, wanted in requirement.items())
 
 
+def _declared(space: StateSpace, operation: Operation) -> Relation:
+    """Return the transitions of an operation that ends as declared."""
+    return space.relation(lambda each: each is operation, declared=True)
+
+
 class _Graph:
     """Joint states and the transitions that users are led through: those that end as declared.
 
@@ -164,7 +170,7 @@ class _Graph:
         self._space = space = StateSpace(blueprint, MAX_JOINT_STATES)
         self._codes: Numbers = np.sort(np.concatenate(space.reached.levels))
         self._names = [operation.name for operation in space.operations]
-        relations = [space.relation(lambda each, own=own: each is own, declared=True) for own in space.operations]
+        relations = [_declared(space, each) for each in space.operations]
         found: list[Numbers] = [np.empty((3, 0), dtype=np.int64)]
         for batch in space.reached.batches():
             decisions = space.decided(batch)
@@ -195,7 +201,8 @@ class _Graph:
 
     def matching(self, goal: Mapping[str, list[str]]) -> Mask:
         """Return a mask of the joint states in which a requirement holds."""
-        return np.isin(self._codes, self._space.reached.which(lambda batch: batch.matching(goal)))
+        found: Mask = np.isin(self._codes, self._space.reached.which(lambda batch: batch.matching(goal)))
+        return found
 
     def accepting(self, name: str) -> Mask:
         """Return a mask of the joint states in which an operation is allowed."""
