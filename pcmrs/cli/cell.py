@@ -41,8 +41,6 @@ def call(operation: str, arguments: str, as_json: bool, address: CellAddress) ->
     say(_json(verdict) if as_json else event_line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         say(f"  allowed now: {', '.join(verdict.allowed)}")
-    if verdict.reason is not None and "next" in verdict.reason.fields and not as_json:
-        say(f"  next: {verdict.reason.fields['next']}")
     sys.exit(STATUS[verdict.decision])
 
 

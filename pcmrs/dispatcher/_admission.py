@@ -267,7 +267,7 @@ class CommandAdmission(Generic[C, D]):
         following = self._procedure.way_to(pending.command.branch, pending.command.operation).next
         if not following:
             return reason
-        text = f"{reason.text} Next: {following}."
+        text = reason.text if following in reason.text else f"{reason.text} Next: {following}."
         return msgspec.structs.replace(reason, text=text, fields=reason.fields | {"next": following})
 
     def _too_old(self, command: Command) -> Reason | None:

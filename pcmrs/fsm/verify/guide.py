@@ -197,7 +197,8 @@ class _Graph:
         unnamed = len(self._codes) + 1 if guided else 1
         events = {operation.name for operation in self._space.operations if operation.spec.event}
         costs = [1 if name in guided else FAR if name in events else unnamed for name in self._names]
-        return np.array(costs, dtype=np.int64)[self._operations]
+        found: Numbers = np.array(costs, dtype=np.int64)[self._operations]
+        return found
 
     def matching(self, goal: Mapping[str, list[str]]) -> Mask:
         """Return a mask of the joint states in which a requirement holds."""
