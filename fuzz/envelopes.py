@@ -24,6 +24,7 @@ with instrumented("pcmrs.bus.codec", "pcmrs.bus._closed_decoder", "pcmrs.message
         Epoch,
         JointState,
         JournalQuery,
+        NextStepRequest,
         NodeBeat,
         PoseMessage,
         Snapshot,
@@ -33,7 +34,7 @@ with instrumented("pcmrs.bus.codec", "pcmrs.bus._closed_decoder", "pcmrs.message
         Verdict,
     )
 
-ARRIVING = (Envelope, Press, DryRunRequest, JournalQuery, TeleopSetpoint)
+ARRIVING = (Envelope, Press, DryRunRequest, JournalQuery, NextStepRequest, TeleopSetpoint)
 """Messages of clients to the daemon."""
 DEVICES = (Beat, BodyPose, DeviceReply, DeviceRequest, Epoch, JointState, NodeBeat, PoseMessage)
 """Messages between daemon and nodes."""

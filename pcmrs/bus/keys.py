@@ -142,6 +142,13 @@ KEYS = [
         "Verdict that a command would get now; nothing is done.",
         COMMANDING,
     ),
+    _row(
+        "svc/next",
+        "query",
+        '{"operation"?} -> NextStep',
+        "The way on to the next stage of the procedure, or to an operation.",
+        READERS,
+    ),
     _row("svc/keys", "query", "nothing -> KeyTable", "This table.", READERS),
     _row("dev/<device>/cmd", "query", "DeviceRequest -> DeviceReply", "Calls a method of a device.", DAEMON, DEVICE),
     _row("dev/<device>/state", "subscribe", "DeviceHealth", "Health of a device.", READERS, SENT_ON_SITE),

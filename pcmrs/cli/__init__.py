@@ -14,6 +14,10 @@ from pcmrs.files import keep_private
 
 COMMANDS = {
     "call": LazyCommand("pcmrs.cli.cell:call", "Ask for an operation and print the verdict."),
+    "next": LazyCommand(
+        "pcmrs.cli.cell:next_",
+        "Print the next step of the procedure, or the next step towards an operation, and why.",
+    ),
     "state": LazyCommand(
         "pcmrs.cli.cell:state", "Print the state of all branches, the flags, running operations, and unknown outcomes."
     ),

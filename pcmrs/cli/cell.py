@@ -1,4 +1,4 @@
-"""Commands on a running cell: call, state, watch, keys, stop."""
+"""Commands on a running cell: call, next, state, watch, keys, stop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcmrs.cli.quantities import readable
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, EXIT_UNKNOWN, readable_errors, run
 from pcmrs.cli.values import Arguments, Operation
 from pcmrs.errors import PcmrsError
-from pcmrs.messages import DeviceEvent, Running, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import DeviceEvent, NextStep, Running, Snapshot, UnknownOutcome, Verdict
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.
@@ -45,6 +45,28 @@ def call(operation: str, arguments: dict[str, Any], as_json: bool, address: Cell
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         say(f"  allowed now: {', '.join(verdict.allowed)}")
     sys.exit(STATUS[verdict.decision])
+
+
+@click.command("next")
+@click.argument("operation", metavar="[BRANCH.OPERATION]", default="")
+@json_option
+@address_options
+@readable_errors
+def next_(operation: str, as_json: bool, address: CellAddress) -> None:
+    """Print the next step of the procedure, or the next step towards an operation, and why.
+
+    It follows from the verified workflow and the present states. Checks of data and devices may still refuse it.
+
+    Exit status: 0 there is one or nothing is left, 1 nothing leads on, 3 no daemon.
+
+    Example: pcmrs next placement.approach
+    """
+    found = run(_next(address, operation))
+    if as_json:
+        say(_json(found))
+    else:
+        _print_next(found)
+    sys.exit(0 if found.next or not (operation or found.stage) else EXIT_REJECTED)
 
 
 @click.command()
@@ -113,6 +135,11 @@ async def _call(address: CellAddress, operation: str, arguments: dict[str, Any])
         return await client.call(operation, arguments)
 
 
+async def _next(address: CellAddress, operation: str) -> NextStep:
+    async with address.connect() as client:
+        return await client.next_step(operation)
+
+
 async def _state(address: CellAddress) -> Snapshot:
     async with address.connect() as client:
         return client.greeting
@@ -175,6 +202,15 @@ def _running(running: Running, head: str) -> str:
     """Return an operation in progress after a head, with the prompt for the person if there is one."""
     prompt = "" if running.prompt is None else f" [{running.prompt.text}]"
     return f"{head}{running.branch}.{running.operation} {running.progress:.0%}{prompt}"
+
+
+def _print_next(found: NextStep) -> None:
+    if found.next:
+        say(f"{'wait for' if found.awaited else 'next'}: {found.next}")
+    say(found.why)
+    for stage in found.stages:
+        mark = "x" if stage.reached else ">" if stage.id == found.stage else " "
+        say(f"[{mark}] {stage.id}: {stage.title}")
 
 
 def _unknown(outcome: UnknownOutcome) -> str:

@@ -18,7 +18,7 @@ from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.console.settings import TOKEN, UPLOADS
+from pcmrs.console.settings import TOKEN, UPLOADS, MotionConsent
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
 from pcmrs.recording.settings import FOLDER
@@ -54,6 +54,13 @@ if TYPE_CHECKING:
     help="Folder whose recordings can be replayed, in addition to the cell's folder.",
 )
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
+@click.option(
+    "--consent",
+    type=click.Choice(["hold", "confirm"]),
+    default="hold",
+    show_default=True,
+    help="How you show that a motion is meant: press and hold its button, or confirm it.",
+)
 @click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
 @click.option("--listening", type=int, hidden=True, help="File descriptor of a socket that listens at the port.")
 @json_option
@@ -66,6 +73,7 @@ def console(
     token_file: Path | None,
     recordings: Path | None,
     language: str,
+    consent: MotionConsent,
     lifeline: bool,
     listening: int | None,
     as_json: bool,
@@ -92,6 +100,7 @@ def console(
         os.nice(NICENESS)
         settings = inherited().settings
         port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
+        consent = settings.console.consent
         recordings, address = settings.cell.path() / FOLDER, _address(settings)
         uploads = settings.cell.path() / UPLOADS
     address.credentials()  # an unusable identity is reported before anything is served
@@ -105,7 +114,7 @@ def console(
         sys.stdout.flush()
 
     place = ListenAddress(host, port, names, listening)
-    run(_serve(address, place, token, language, ready, uploads, recordings, lifeline=lifeline))
+    run(_serve(address, place, token, language, ready, uploads, recordings, consent, lifeline=lifeline))
 
 
 def _address(settings: Settings) -> CellAddress:
@@ -122,6 +131,7 @@ async def _serve(
     ready: Callable[[str], None],
     uploads: Path,
     recordings: Path | None,
+    consent: MotionConsent,
     *,
     lifeline: bool,
 ) -> None:
@@ -133,4 +143,4 @@ async def _serve(
         loop.add_signal_handler(number, ended.set)
     if lifeline:
         when_input_ends(ended.set)
-    await serve_console(address.connect, place, token, language, ready, ended, uploads, recordings)
+    await serve_console(address.connect, place, token, language, ready, ended, uploads, recordings, consent)

@@ -40,6 +40,8 @@ from pcmrs.messages import (
     DryRunResult,
     JournalPage,
     JournalQuery,
+    NextStep,
+    NextStepRequest,
     Snapshot,
     TeleopSetpoint,
     Verdict,
@@ -274,6 +276,19 @@ class Client:
         branch, _, operation = name.partition(".")
         question = DryRunRequest(branch=branch, operation=operation, arguments=dict(arguments))
         return await self._bus.request(f"svc/check/{self._user}", question, DryRunResult, timeout or self._patience)
+
+    async def next_step(self, operation: str = "", timeout: float | None = None) -> NextStep:
+        """Return the way on from the present states, as the verified workflow allows it.
+
+        Args:
+            operation: Operation to reach, ``branch.operation``; empty for the next stage of the procedure.
+            timeout: Longest wait for the answer, s; the default is longer over a network.
+
+        Raises:
+            UnknownOutcomeError: The daemon did not answer in time.
+        """
+        question = NextStepRequest(operation=operation)
+        return await self._bus.request("svc/next", question, NextStep, timeout or self._patience)
 
     async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:
         """Return rows of the journal; operators and viewers may read it.

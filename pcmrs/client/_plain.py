@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pcmrs.bus import Credentials
 from pcmrs.bus.keys import KeyTable
 from pcmrs.client._aio import Client, Event
-from pcmrs.messages import DryRunResult, JournalPage, JournalQuery, Snapshot, Verdict
+from pcmrs.messages import DryRunResult, JournalPage, JournalQuery, NextStep, Snapshot, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import ProcedureDataView, Setup
@@ -90,6 +90,14 @@ class PlainClient:
             arguments: Arguments of the operation by name.
         """
         return self._portal.call(partial(self._client.check, name, arguments or {}))
+
+    def next_step(self, operation: str = "") -> NextStep:
+        """Return the way on from the present states; see `Client.next_step`.
+
+        Args:
+            operation: Operation to reach, ``branch.operation``; empty for the next stage of the procedure.
+        """
+        return self._portal.call(self._client.next_step, operation)
 
     def stop(self) -> None:
         """Stop every motion; see `Client.stop`."""

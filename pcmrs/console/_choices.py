@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pcmrs.fsm import Blueprint, Engine, OperationSpec
+from pcmrs.console.texts import Texts
+from pcmrs.fsm import Blueprint, Engine, OperationSpec, guide_for
 from pcmrs.fsm.closure import Denial
 from pcmrs.messages import Snapshot
 from pcmrs.messages.setup import Setup
@@ -22,7 +23,7 @@ class Choice:
     """One operation that a person may ask for.
 
     Attributes:
-        title: Its title in the workflow, or its name.
+        title: Its title in the workflow, or its name in words.
         why_not: Reason why it would be rejected now; empty if it would not, as far as a console can tell.
         payload: Registered name of its arguments' type; ``none`` for none.
         moves: It moves the robot.
@@ -47,11 +48,14 @@ class Choices:
 
     Args:
         blueprint: The workflow.
+        texts: Texts in the language of the page.
     """
 
-    def __init__(self, blueprint: Blueprint) -> None:
+    def __init__(self, blueprint: Blueprint, texts: Texts) -> None:
         self.blueprint = blueprint
+        self._texts = texts
         self._engine = Engine(blueprint)
+        self._guide = guide_for(blueprint)
 
     def all(self, shown: Snapshot, setup: Setup) -> dict[str, Choice]:
         """Return all operations that people may ask for, by name, in the blueprint's order.
@@ -73,7 +77,7 @@ class Choices:
         return Choice(
             branch=branch,
             operation=operation,
-            title=spec.title or operation.replace("_", " ").capitalize(),
+            title=self._title(operation, spec),
             why_not=self._why_not(branch, operation, spec, shown, setup),
             payload=spec.payload,
             moves=spec.moves,
@@ -92,4 +96,20 @@ class Choices:
             release = " or ".join(self.blueprint.unlatching)
             return f"Stop is latched: acknowledge with {release} first."
         answer = self._engine.ask(branch, operation)
-        return answer.text if isinstance(answer, Denial) else ""
+        return self._denied(branch, operation, answer, shown) if isinstance(answer, Denial) else ""
+
+    def _denied(self, branch: str, operation: str, denial: Denial, shown: Snapshot) -> str:
+        """Return why the states do not allow an operation, and which operation leads on to it."""
+        name = f"{branch}.{operation}"
+        following = self._guide.to_operation(shown.branches, name, latched=shown.latched).next
+        found = self.blueprint.find(*following.split(".")) if following else None
+        if found is None:
+            return denial.text
+        title = self._title(following.partition(".")[2], found)
+        return f"{denial.text} {self._texts('leads_on', name=title)}"
+
+    def _title(self, operation: str, spec: OperationSpec) -> str:
+        """Return what people call an operation."""
+        if spec.title:
+            return spec.title
+        return self._texts("start_again") if spec.rio else operation.replace("_", " ").capitalize()

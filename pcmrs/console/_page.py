@@ -1,4 +1,4 @@
-"""The page: Stop on top, the cell on the left, operations on the right."""
+"""The page: Stop on top, the cell on the left, the next step and all operations on the right."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ from dataclasses import replace
 
 from nicegui import events, ui
 
+from pcmrs.console._action_button import HOLD_SCRIPT, PageActions
+from pcmrs.console._action_button import STYLE as BUTTON_STYLE
+from pcmrs.console._asking import Asking
 from pcmrs.console._cell import CellPanel
 from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console._chart import ChartPanel
 from pcmrs.console._choices import Choice, Choices, latch_of
 from pcmrs.console._command_sender import CommandSender
+from pcmrs.console._dialogs import Dialogs
+from pcmrs.console._escape import EscapeKey
 from pcmrs.console._geometry import placement_deviation, tool_tip
 from pcmrs.console._live_feed import LiveFeed
+from pcmrs.console._next_panel import NextPanel
 from pcmrs.console._playback_bar import PlaybackBar, choose_recording
 from pcmrs.console._recordings import Recordings
 from pcmrs.console._surfaces import Surfaces
@@ -20,6 +26,7 @@ from pcmrs.console._timeline import TimelinePanel
 from pcmrs.console._workflow import WorkflowPanel
 from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.playback import Playback
+from pcmrs.console.settings import MotionConsent
 from pcmrs.console.signals.panel import SignalsPanel
 from pcmrs.console.texts import Texts, languages
 from pcmrs.fsm import Blueprint
@@ -38,7 +45,6 @@ body { --head: 64px; touch-action: pan-x pan-y; }
 .head .figure { font-size: 34px; line-height: 40px; }
 .nicegui-content { height: calc(100dvh - var(--head)); flex-wrap: nowrap; overflow: hidden; }
 .halves { flex: 1 1 0; min-height: 0; }
-.asking .q-btn[disabled] { pointer-events: none; }
 .left-panels { flex: 1 1 0; min-height: 0; }
 .left-panels .q-tab-panel { height: 100%; overflow: auto; }
 @media (max-width: 1199.98px) { .head .figure { font-size: 24px; line-height: 32px; } }
@@ -65,6 +71,7 @@ class Page:
         surfaces: Served surfaces of the body.
         recordings: Recordings to choose from.
         playback: Name and playback of a recording to show instead of the cell; then only Stop is sent.
+        consent: How a person shows that a motion is meant.
     """
 
     def __init__(
@@ -76,15 +83,22 @@ class Page:
         surfaces: Surfaces,
         recordings: Recordings,
         playback: tuple[str, Playback] | None = None,
+        consent: MotionConsent = "hold",
     ) -> None:
         self._feed, self._setup, self._blueprint, self._texts = feed, setup, blueprint, texts
         self._view: CellViewModel = feed if playback is None else playback[1]
-        self._sender, self._choices = CommandSender(feed, texts), Choices(blueprint)
+        self._sender, self._choices = CommandSender(feed, texts), Choices(blueprint, texts)
+        self._dialogs, self._escape = Dialogs(), EscapeKey(blueprint)
+        self._actions = PageActions(texts, self._dialogs, lambda: feed.now, consent)
+        self._asking = Asking(self._view, setup, self._sender, self._actions)
         self._versions = (-1, -1)
         ui.add_css(STYLE)
+        ui.add_css(BUTTON_STYLE)
+        ui.add_body_html(f"<script>{HOLD_SCRIPT.read_text(encoding='utf-8')}</script>")
         ui.colors(primary="#0b5394")
         ui.query(".nicegui-content").classes("p-0 gap-0")
-        ui.keyboard(on_key=self._key, ignore=["input", "textarea"])
+        ui.keyboard(on_key=self._escaped, ignore=[])
+        ui.keyboard(on_key=self._plan_by_key, ignore=["input", "textarea"])
         self._header()
         self._trouble = ui.label().classes("w-full bg-red-2 q-pa-sm").props('data-testid="trouble"')
         if setup.point_to_point:
@@ -98,6 +112,7 @@ class Page:
             with halves.before, ui.column().classes("w-full h-full gap-0 no-wrap"):
                 self._left(surfaces)
             with halves.after, ui.column().classes("w-full gap-0 q-pa-xs"):
+                self._next = NextPanel(self._view, blueprint, self._actions, self._asking, self._open_planning)
                 self._right(recordings)
         ui.timer(REFRESH_PERIOD, self._refresh)
 
@@ -154,7 +169,7 @@ class Page:
         self._planning: PlanningPanel | None = None
         with ui.tab_panels(tabs, value="workflow", animated=False, keep_alive=True).classes("w-full"):
             with ui.tab_panel("workflow").classes("p-1"):
-                self._workflow = WorkflowPanel(self._view, setup, self._blueprint, texts, self._sender)
+                self._workflow = WorkflowPanel(self._view, setup, self._blueprint, self._actions, self._asking)
             if not self._is_playback:
                 with ui.tab_panel("planning").classes("p-1"):
                     self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._sender)
@@ -184,6 +199,7 @@ class Page:
             return
         self._chart.refresh(shown)
         choices = self._possible(shown)
+        self._next.refresh(shown, choices)
         self._workflow.refresh(shown, choices)
         if self._planning is not None:
             self._planning.refresh(choices)
@@ -217,12 +233,22 @@ class Page:
         operation = "release" if holder == self._setup.user else "acquire" if holder is None else "take_over"
         await self._sender.hold(operation)
 
-    async def _key(self, event: events.KeyEventArguments) -> None:
-        if not event.action.keydown:
+    def _open_planning(self, operation: str) -> None:
+        """Open the planning of what an operation takes."""
+        self._right_tabs.set_value("planning")
+        if self._planning is not None:
+            self._planning.choose(operation)
+
+    async def _escaped(self, event: events.KeyEventArguments) -> None:
+        if not event.action.keydown or event.key.name != "Escape":
             return
-        if event.key.name == "Escape":
+        if self._escape.stops(self._feed.snapshot, dialog=bool(self._dialogs)):
             await self._sender.stop()
-        elif self._planning is not None:
+        else:
+            self._dialogs.close_newest()
+
+    def _plan_by_key(self, event: events.KeyEventArguments) -> None:
+        if event.action.keydown and self._planning is not None and event.key.name != "Escape":
             self._planning.key(event.key.name)
 
 

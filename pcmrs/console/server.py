@@ -23,6 +23,7 @@ from pcmrs.console._uploads import UploadLimit, use_temporary_folder
 from pcmrs.console.guard import TokenMiddleware
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
+from pcmrs.console.settings import MotionConsent
 from pcmrs.console.texts import Texts
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
@@ -65,6 +66,7 @@ async def serve_console(
     ended: asyncio.Event,
     uploads: Path,
     recordings: Path | None = None,
+    consent: MotionConsent = "hold",
 ) -> None:
     """Serve the page until `ended` is set.
 
@@ -77,6 +79,7 @@ async def serve_console(
         ended: Set to end it.
         uploads: Folder for uploaded files while they are read. Files of consoles that have ended are removed.
         recordings: Folder with recordings that can be replayed; None for none.
+        consent: How a person shows that a motion is meant.
 
     Raises:
         BusError: The port is taken, or the address is not one of this machine.
@@ -84,7 +87,7 @@ async def serve_console(
     """
     feed = LiveFeed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    _build(app, feed, language, Recordings(recordings))
+    _build(app, feed, language, Recordings(recordings), consent)
     ui.run_with(
         app,
         title="PCMRS",
@@ -147,7 +150,7 @@ def _listen(place: ListenAddress) -> socket.socket:
         raise BusError(text, host=place.host, port=place.port) from None
 
 
-def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings) -> None:
+def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings, consent: MotionConsent) -> None:
     """Declare the pages that the server answers."""
     workflows: dict[str, Blueprint] = {}
     surfaces = Surfaces(feed)
@@ -173,7 +176,7 @@ def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings) 
                 refuse_recording(error.text, texts)
                 return
         _follow(feed, ui.context.client)
-        Page(feed, setup, blueprint, texts, surfaces, recordings, playback)
+        Page(feed, setup, blueprint, texts, surfaces, recordings, playback, consent)
 
 
 def _follow(feed: LiveFeed, client: Client) -> None:

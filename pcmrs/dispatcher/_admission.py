@@ -6,6 +6,8 @@ import asyncio
 import uuid
 from typing import Generic
 
+import msgspec
+
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._performer import Performer
 from pcmrs.dispatcher.command_checks import (
@@ -249,16 +251,24 @@ class CommandAdmission(Generic[C, D]):
         if self.broken is None and pending.spec.blocked_when_latched and self._procedure.latched:
             release = " or ".join(self._workflow.blueprint.unlatching)
             text = f"{pending.name} is not allowed while Stop is latched: acknowledge with {release} first."
-            return Reason(code="latched", text=text)
+            return self._led_on(pending, Reason(code="latched", text=text))
         return self.broken or self.lease.objection(pending.command)
 
     def _refused(self, pending: PendingCommand, answer: Closure | Denial) -> Reason | None:
         """Why the states do not allow it, or why an acknowledgement does not answer the newest Stop."""
         if isinstance(answer, Denial):
-            return Reason(code=answer.code, text=answer.text, fields=answer.fields)
+            return self._led_on(pending, Reason(code=answer.code, text=answer.text, fields=answer.fields))
         if not pending.spec.unlatches:
             return None
         return self._stops.objection(pending.command, latched=self._procedure.latched)
+
+    def _led_on(self, pending: PendingCommand, reason: Reason) -> Reason:
+        """Return the reason with the operation that leads on to the refused one, if any does."""
+        following = self._procedure.way_to(pending.command.branch, pending.command.operation).next
+        if not following:
+            return reason
+        text = reason.text if following in reason.text else f"{reason.text} Next: {following}."
+        return msgspec.structs.replace(reason, text=text, fields=reason.fields | {"next": following})
 
     def _too_old(self, command: Command) -> Reason | None:
         try:

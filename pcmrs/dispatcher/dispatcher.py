@@ -34,13 +34,14 @@ from pcmrs.dispatcher.events import (
 from pcmrs.dispatcher.execution import Checks, ExecutionContext, Hold, MotionChecker, performing
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
+from pcmrs.dispatcher.next_step import next_step
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
 from pcmrs.dispatcher.stops import StopControl, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.dispatcher.workflow import C, D, Run, Workflow
 from pcmrs.errors import ReentrancyError
-from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import Command, DeviceEvent, DryRunResult, NextStep, Reason, Snapshot, UnknownOutcome, Verdict
 
 log = structlog.get_logger(__name__)
 
@@ -218,6 +219,16 @@ class Dispatcher(Generic[C, D]):
         running = [pending.shown for pending in self._locks.running if pending.started and not pending.verdict.done()]
         activities, unknown = self._activities.shown(), self._outcomes.shown()
         return self.procedure.snapshot(running, activities, unknown, self.lease.state, self._stops.state)
+
+    def next_step(self, operation: str = "") -> NextStep:
+        """Return the way on from the present states.
+
+        Args:
+            operation: Operation to reach, ``branch.operation``; empty for the next stage of the procedure.
+        """
+        procedure = self.procedure
+        stop = self.stop_number if procedure.latched else None
+        return next_step(procedure.guide, procedure.joint(), stop=stop, operation=operation)
 
     @property
     def lease(self) -> Lease:

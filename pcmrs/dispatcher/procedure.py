@@ -9,7 +9,7 @@ import msgspec
 
 from pcmrs.dispatcher.workflow import C, D, Workflow
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
+from pcmrs.fsm import Change, Closure, Denial, Engine, Guidance, flags_of, guide_for
 from pcmrs.messages import ActiveActivity, BlueprintTag, LeaseState, Running, Snapshot, StopState, UnknownOutcome
 
 NO_STOP = StopState()
@@ -26,6 +26,7 @@ class Procedure(Generic[C, D]):
         data: Data of the procedure, such as plan and registration.
         latched: A Stop has not been acknowledged: nothing moves or acts on the patient.
         sequence: Number of the newest commit.
+        guide: Finds the way on.
     """
 
     def __init__(self, workflow: Workflow[C, D]) -> None:
@@ -36,6 +37,7 @@ class Procedure(Generic[C, D]):
         self._reserved = 0
         self._settle = workflow.settle
         self._engine = Engine(workflow.blueprint)
+        self.guide = guide_for(workflow.blueprint)
         self._flags = flags_of(workflow.blueprint, self._engine.joint())
         self._promised = self._engine.joint()
         self._changed = dict.fromkeys(workflow.blueprint.branches, 0)
@@ -69,6 +71,15 @@ class Procedure(Generic[C, D]):
             operation: Name of the operation.
         """
         return self._engine.ask(branch, operation, states=self._promised)
+
+    def way_to(self, branch: str, operation: str) -> Guidance:
+        """Return the way from the promised states to an operation; while Stop bars it, to the release of Stop.
+
+        Args:
+            branch: Name of the branch.
+            operation: Name of the operation.
+        """
+        return self.guide.to_operation(self._promised, f"{branch}.{operation}", latched=self.latched)
 
     def changed_since(self, branches: Iterable[str], sequence: int) -> list[str]:
         """Return those of the branches that a later commit has changed, or will once it is durable.

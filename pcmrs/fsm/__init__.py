@@ -7,6 +7,7 @@ from pcmrs.fsm.closure import Change, Closure, Denial, Effect, close
 from pcmrs.fsm.engine import Engine
 from pcmrs.fsm.files.load import BlueprintExamination, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.finding import Finding
+from pcmrs.fsm.verify.guide import Guidance, Guide, guide_for
 
 __all__ = [
     "START_OUTCOME",
@@ -19,12 +20,15 @@ __all__ = [
     "Effect",
     "Engine",
     "Finding",
+    "Guidance",
+    "Guide",
     "OperationSpec",
     "State",
     "StateSet",
     "close",
     "examine",
     "flags_of",
+    "guide_for",
     "load_blueprint",
     "parse_blueprint",
 ]

@@ -24,6 +24,7 @@ __all__ = [
     "ProvenanceSpec",
     "RevocationSpec",
     "SequenceSpec",
+    "StageSpec",
     "TimerSpec",
 ]
 
@@ -373,6 +374,25 @@ class PropertySpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fiel
     leads_to: Condition | None = None
 
 
+class StageSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A stage of the procedure, for guidance only: no decision depends on it.
+
+    Attributes:
+        id: Name of the stage in messages.
+        title: Its purpose, in the words of its users.
+        goal: It is reached while each branch is in one of its states.
+        when: It belongs to the procedure only while this holds; always by default.
+        operations: Operations, ``branch.operation``, that users should be led through, the first of several equally
+            short ways first. An event among them is waited for.
+    """
+
+    id: str
+    title: str = ""
+    goal: Requirement
+    when: Requirement = {}
+    operations: list[str] = []
+
+
 class MigrationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An older blueprint of the same workflow whose journal may be continued under this one.
 
@@ -410,12 +430,14 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
         id: Name of the workflow.
         version: Its version, which journals and snapshots carry.
         goal: Joint states that must stay within reach: the purpose of the procedure.
+        stage: Stages on the way to the goal, in their order; see `stages`.
         properties: Promises of the workflow.
         migrations: Older blueprints whose journals may be continued.
         defaults: Changes to the defaults of the configuration, such as limits.
         provenance: How a language model has drafted it: a daemon runs it only if a person has approved it. Left out if
             people have written it.
-        hash: SHA-256 of its content, hexadecimal, whatever its comments, layout and migrations; filled when it is read.
+        hash: SHA-256 of its content, hexadecimal, whatever its comments, layout, migrations and stages; filled when it
+            is read.
     """
 
     id: str
@@ -426,6 +448,8 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
     properties: list[PropertySpec] = []
     migrations: list[MigrationSpec] = []
     defaults: dict[str, Any] = {}
+    # Not an empty list: what is unset is not encoded, so the hashes of workflows do not depend on their stages.
+    stage: list[StageSpec] | msgspec.UnsetType = msgspec.UNSET
     # Not None: what is unset is not encoded, so the hashes of workflows that people have written stay as they were.
     provenance: ProvenanceSpec | msgspec.UnsetType = msgspec.UNSET
     hash: str = ""
@@ -443,6 +467,22 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
     def initial(self) -> dict[str, str]:
         """The joint state at start: every branch in its starting state."""
         return {name: branch.start for name, branch in self.branches.items()}
+
+    @property
+    def declared_stages(self) -> list[StageSpec]:
+        """The stages that it declares, in their order."""
+        return [] if self.stage is msgspec.UNSET else self.stage
+
+    @property
+    def stages(self) -> list[StageSpec]:
+        """Its stages in their order; one that is reached at the goal if it declares none."""
+        implied = [StageSpec(id="goal", title=self.title, goal=self.goal)] if self.goal else []
+        return self.declared_stages or implied
+
+    @cached_property
+    def guided(self) -> list[str]:
+        """The operations, ``branch.operation``, that its stages name, in their order."""
+        return list(dict.fromkeys(name for stage in self.declared_stages for name in stage.operations))
 
     @cached_property
     def roots(self) -> list[str]:

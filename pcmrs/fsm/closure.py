@@ -166,10 +166,10 @@ def close(
     def change(ending: OutcomeSpec) -> Change:
         return follow(blueprint, states, branch, operation, ending, spec, ask)
 
-    # Requirements come first: of all denials, theirs alone can tell the user what to do.
+    # Requirements come first: of all denials, theirs alone have a code of the workflow.
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
     if denial is not None:
-        return _with_remedies(blueprint, denial)
+        return denial
     outcomes: dict[str, Change] = {}
     try:
         for name, ending in spec.endings.items():
@@ -203,21 +203,6 @@ def unmet(
             text = f"{what} needs {branch} in {' or '.join(wanted)}; it is in {states[branch]}."
             return Denial(code, text, {"branch": branch, "state": states[branch], "needed": wanted})
     return None
-
-
-def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
-    """The denial of an unmet requirement, with the operations that would meet it from the present state."""
-    branch, state, wanted = (denial.fields[key] for key in ("branch", "state", "needed"))
-    declared = blueprint.branches[branch]
-    remedies = [
-        f"{branch}.{name}"
-        for name, spec in declared.operations.items()
-        if not (spec.event or spec.iio)
-        and declared.valid_in(name, state)
-        and any(target_from(ending.to, state) in wanted for ending in spec.endings.values())
-    ]
-    hint = f" Ask for {' or '.join(remedies)} first." if remedies else ""
-    return Denial(denial.code, denial.text + hint, denial.fields)
 
 
 class _Cascade:

@@ -12,7 +12,10 @@ from pcmrs.messages._decisions import (
     DryRunResult,
     JournalPage,
     JournalQuery,
+    NextStep,
+    NextStepRequest,
     Reason,
+    StageShown,
     Verdict,
 )
 from pcmrs.messages._poses import Beeps, BodyPose, LandmarkPrompt, PoseMessage, Target
@@ -84,6 +87,8 @@ __all__ = [
     "Message",
     "MotionOutcome",
     "MotionResult",
+    "NextStep",
+    "NextStepRequest",
     "NodeBeat",
     "PoseMessage",
     "PressRequest",
@@ -92,6 +97,7 @@ __all__ = [
     "SceneTruth",
     "ServoSession",
     "Snapshot",
+    "StageShown",
     "StimulatorState",
     "StopState",
     "Target",

@@ -109,6 +109,52 @@ class DryRunResult(Message, frozen=True, kw_only=True, omit_defaults=False):
     result: dict[str, Any] = {}
 
 
+class NextStepRequest(Message, frozen=True, kw_only=True):
+    """Request for the way on.
+
+    Attributes:
+        operation: Operation to reach, ``branch.operation``; empty for the next stage of the procedure.
+    """
+
+    max_bytes: ClassVar[int] = 1024
+
+    operation: str = ""
+
+
+class StageShown(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """A stage that belongs to the procedure now.
+
+    Attributes:
+        id: Name of the stage.
+        title: Its purpose, for people.
+        reached: True while its goal holds.
+    """
+
+    id: str
+    title: str
+    reached: bool
+
+
+class NextStep(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The way on from the present states, as the verified workflow allows it; checks may still refuse it.
+
+    Attributes:
+        next: First operation of the way, ``branch.operation``; empty if there is none.
+        why: Reason why it is next, or why there is none, for people.
+        awaited: True if `next` is an event that a device reports, so that it must be waited for.
+        path: All operations of the way.
+        stage: Stage that the way leads to; empty if it leads to an operation or to the release of Stop.
+        stages: All stages that belong to the procedure now, in their order.
+    """
+
+    next: str
+    why: str
+    awaited: bool = False
+    path: list[str] = []
+    stage: str = ""
+    stages: list[StageShown] = []
+
+
 class JournalQuery(Message, frozen=True, kw_only=True):
     """Request for rows of the journal.
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pcmrs.messages._base import Message
 from pcmrs.messages._poses import PoseMessage
 from pcmrs.messages.identity import Role
 
 __all__ = [
+    "ArgumentShown",
     "ArmShown",
     "BoxShown",
     "LandmarkShown",
@@ -80,6 +81,42 @@ class SliceShown(Message, frozen=True, kw_only=True, omit_defaults=False):
     height: float
 
 
+class ArgumentShown(Message, frozen=True, kw_only=True):
+    """One argument of an operation, for a form.
+
+    Attributes:
+        name: Name of the argument.
+        kind: Kind of its value; ``numbers`` are `count` numbers, and ``other`` cannot be typed into a field.
+        help: Description, for people.
+        unit: Unit of its value; empty if it has none.
+        required: It has no default.
+        optional: Its value may be null.
+        default: Default value.
+        count: Number of numbers.
+        least: Smallest value.
+        most: Largest value.
+        above: Limit that it is greater than.
+        below: Limit that it is less than.
+        longest: Largest number of characters.
+        choices: Values to choose from.
+    """
+
+    name: str
+    kind: Literal["number", "integer", "numbers", "text", "yes_no", "choice", "other"]
+    help: str = ""
+    unit: str = ""
+    required: bool = False
+    optional: bool = False
+    default: Any = None
+    count: int = 1
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    below: float | None = None
+    longest: int | None = None
+    choices: list[str] = []
+
+
 class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/setup/<user>``.
 
@@ -105,6 +142,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         mep: Criteria of a response: the table ``procedure.stimulation.mep`` of the configuration.
         point_to_point: True if the arm moves in segments and can be stopped only at the end of one.
         confirm_offset: Distance before the target, along the tool's +z axis, at which `placement.confirm` ends, m.
+        arguments: Arguments of operations, by the registered name of their type.
     """
 
     user: str
@@ -128,6 +166,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     mep: dict[str, Any] = {}
     point_to_point: bool = False
     confirm_offset: float = 0.0
+    arguments: dict[str, list[ArgumentShown]] = {}
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):

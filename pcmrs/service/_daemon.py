@@ -189,7 +189,7 @@ class Daemon:
                 gateway=gateway,
                 metrics_trouble=lambda: metrics.trouble,
             )
-            shown = partial(setup_of, procedure.cell, settings, blueprint)
+            shown = partial(setup_of, procedure.cell, settings, workflow)
             answer_queries(bus, dispatcher, journal.reader, inspection.health, shown, procedure.gathered)
             stack.push_async_callback(metrics.close)
             metrics.start(inspection.health)

@@ -6,7 +6,8 @@ from itertools import zip_longest
 
 import msgspec
 
-from pcmrs.fsm import Blueprint
+from pcmrs.dispatcher import Workflow
+from pcmrs.dispatcher.arguments import arguments_shown
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.messages.setup import (
     ArmShown,
@@ -23,13 +24,13 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 
 
-def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
+def setup_of(cell: Cell, settings: Settings, workflow: Workflow[Cell, PlacementData]) -> Setup:
     """Return how the cell is set up.
 
     Args:
         cell: The cell.
         settings: The whole configuration.
-        blueprint: The workflow.
+        workflow: The workflow.
     """
     procedure, facts, mesh = settings.procedure, cell.arm.facts, cell.surface
     surface = None
@@ -39,7 +40,7 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         user="",
         role="viewer",
         lease_required=settings.access.is_open,
-        blueprint=blueprint_toml(blueprint),
+        blueprint=blueprint_toml(workflow.blueprint),
         arm=ArmShown(
             name=facts.name,
             joints=[as_message(joint.parent_from_joint) for joint in facts.joints],
@@ -65,6 +66,7 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         volume=[SliceShown(**msgspec.to_builtins(each)) for each in procedure.tracking.volume],
         mep=msgspec.to_builtins(procedure.stimulation.mep),
         point_to_point=settings.point_to_point,
+        arguments=arguments_shown(workflow.registry.payloads),
     )
 
 

@@ -26,6 +26,8 @@ from pcmrs.messages import (
     JournalPage,
     JournalQuery,
     Message,
+    NextStep,
+    NextStepRequest,
     Snapshot,
     Target,
     Verdict,
@@ -138,6 +140,9 @@ def answer_queries(
         )
         return await dispatcher.dry_run(command)
 
+    async def following(_key: str, question: NextStepRequest) -> NextStep:
+        return dispatcher.next_step(question.operation)
+
     async def page(_key: str, query: JournalQuery) -> JournalPage:
         async with files:
             return await asyncio.to_thread(journal_page, journal.path, query)
@@ -146,6 +151,7 @@ def answer_queries(
     bus.serve("svc/setup/*", Empty, laid_out, reading=True)
     bus.serve("svc/data", Empty, data, reading=True)
     bus.serve("svc/check/*", DryRunRequest, checked, reading=True)
+    bus.serve("svc/next", NextStepRequest, following, reading=True)
     bus.serve("svc/keys", Empty, keys, reading=True)
     bus.serve("svc/health", Empty, well, reading=True)
     bus.serve("svc/journal", JournalQuery, page, reading=True)

@@ -58,7 +58,7 @@ class PlanningPanel:
     """
 
     def __init__(self, feed: LiveFeed, setup: Setup, blueprint: Blueprint, texts: Texts, sender: CommandSender) -> None:
-        self._sender = sender
+        self._sender, self._blueprint = sender, blueprint
         self._operations = operations(blueprint)
         draft = self._draft = Draft(
             surface=None if setup.surface is None else TriangleSurface(*vertices_of(setup.surface)),
@@ -112,6 +112,12 @@ class PlanningPanel:
             choice = choices.get(self._operations[kind])
             button.set_enabled(choice is not None and not choice.why_not)
         self._checking.check(self._requests())
+
+    def choose(self, operation: str) -> None:
+        """Choose the kind of plan that an operation takes; one that takes none changes nothing."""
+        spec = self._blueprint.find(*operation.split("."))
+        if spec is not None and spec.payload in self._operations:
+            self._mode.set_value(spec.payload)
 
     def key(self, key: str) -> None:
         """Move the tool along the surface, or turn it; other keys have no effect."""

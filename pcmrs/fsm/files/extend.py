@@ -13,7 +13,7 @@ from pcmrs.fsm.files.toml import read_bounded, read_toml
 from pcmrs.fsm.finding import Finding, Path, refuse
 
 EXTENDS = "extends"
-OWN = ("id", "version", "title", "goal", "migrations")
+OWN = ("id", "version", "title", "goal", "stage", "migrations")
 """Keys that identify a workflow: never taken from the file that it extends."""
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}\.toml")

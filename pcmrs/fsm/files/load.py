@@ -171,12 +171,12 @@ def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, 
 def content_hash(blueprint: Blueprint) -> str:
     """Return the SHA-256 of the content of a blueprint, hexadecimal.
 
-    Comments, layout and its migrations do not matter. Of orders, only that of the states does.
+    Comments, layout, its migrations and its stages do not matter. Of orders, only that of the states does.
     """
     # The order of states has a meaning (the first is the start), but the deterministic encoder sorts all keys.
     order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
     branches = {name: _hashed_branch(branch) for name, branch in blueprint.branches.items()}
-    bare = msgspec.structs.replace(blueprint, hash="", migrations=[], branches=branches)
+    bare = msgspec.structs.replace(blueprint, hash="", migrations=[], stage=msgspec.UNSET, branches=branches)
     content = msgspec.json.encode([order, bare], order="deterministic")
     return hashlib.sha256(content).hexdigest()
 

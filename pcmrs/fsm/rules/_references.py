@@ -32,11 +32,21 @@ def check_references(blueprint: Blueprint) -> Iterator[Finding]:
             yield from _states_exist(blueprint, {name: revocation.from_}, (*where, "from"))
             yield from _states_exist(blueprint, {name: [revocation.to]}, (*where, "to"))
     yield from _requirement(blueprint, blueprint.goal, ("goal",))
+    yield from _stages(blueprint)
     for index, promise in enumerate(blueprint.properties):
         conditions = {"always": promise.always, "never": promise.never, "reachable": promise.reachable}
         for key, condition in (conditions | {"when": promise.when, "leads_to": promise.leads_to}).items():
             if condition is not None:
                 yield from _condition(blueprint, condition, ("properties", str(index), key))
+
+
+def _stages(blueprint: Blueprint) -> Iterator[Finding]:
+    for index, stage in enumerate(blueprint.declared_stages):
+        path = ("stage", str(index))
+        yield from _requirement(blueprint, stage.goal, (*path, "goal"))
+        yield from _requirement(blueprint, stage.when, (*path, "when"))
+        for operation in stage.operations:
+            yield from _operation_exists(blueprint, operation, (*path, "operations"))
 
 
 def _branch_exists(blueprint: Blueprint, branch: str, path: Path) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Shapes of branches, operations and properties: combinations of keys that contradict each other."""
+"""Shapes of branches, operations, properties and stages: combinations of keys that contradict each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pcmrs.fsm.finding import Finding
 
 
 def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
-    """Return contradictions within branches, operations and properties; every name must exist."""
+    """Return contradictions within branches, operations, properties and stages; every name must exist."""
     for name, branch in blueprint.branches.items():
         yield from _level(blueprint, name, branch)
         for key, operation in branch.operations.items():
@@ -18,6 +18,7 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
             for text in _faults(blueprint, name, branch, operation):
                 yield Finding(code="bad_operation", text=f"{name}.{key} {text}", path=path)
     yield from _latch(blueprint)
+    yield from _stages(blueprint)
     identities: set[str] = set()
     for index, promise in enumerate(blueprint.properties):
         given = [promise.always, promise.never, promise.reachable, promise.leads_to]
@@ -29,6 +30,24 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
             text = f"There are two properties {promise.id!r}: findings could not tell them apart."
             yield Finding(code="bad_property", text=text, path=where)
         identities.add(promise.id)
+
+
+def _stages(blueprint: Blueprint) -> Iterator[Finding]:
+    identities: set[str] = set()
+    for index, stage in enumerate(blueprint.declared_stages):
+        texts = [
+            f"names {name}, which only a child branch calls." for name in stage.operations if _is_iio(blueprint, name)
+        ]
+        texts += [] if stage.goal else ["has no goal, so it is always reached: name the states in which it is."]
+        texts += ["has the id of another: messages could not tell them apart."] if stage.id in identities else []
+        for text in texts:
+            yield Finding(code="bad_stage", text=f"The stage {stage.id} {text}", path=("stage", str(index)))
+        identities.add(stage.id)
+
+
+def _is_iio(blueprint: Blueprint, name: str) -> bool:
+    branch, _, operation = name.partition(".")
+    return blueprint.branches[branch].operations[operation].iio
 
 
 def _latch(blueprint: Blueprint) -> Iterator[Finding]:

@@ -52,6 +52,8 @@ def check_names(blueprint: Blueprint) -> Iterator[Finding]:
         yield from _states(name, branch)
     for index, promise in enumerate(blueprint.properties):
         yield from _name(promise.id, "a property", ("properties", str(index), "id"))
+    for index, stage in enumerate(blueprint.declared_stages):
+        yield from _name(stage.id, "a stage", ("stage", str(index), "id"))
 
 
 def _name(word: str, what: str, path: Path, reserved: frozenset[str] = RESERVED) -> Iterator[Finding]:

@@ -24,6 +24,7 @@ CHECKED_IF_COMPLETE = (
     _structure.timers,
     _liveness.deadlocks,
     _liveness.goals,
+    _liveness.stages,
     _liveness.releases,
     _hazards.ways_back,
     _hazards.repetitions,

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from pcmrs.fsm.behaviour import line_of
-from pcmrs.fsm.blueprint import OperationSpec
+from pcmrs.fsm.blueprint import OperationSpec, StageSpec
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify._encoding import Batch, Mask
 from pcmrs.fsm.verify._moments import Moments
+from pcmrs.fsm.verify._relation import Relation
 from pcmrs.fsm.verify._search import Progress, SearchBudget, states_leading_to
 from pcmrs.fsm.verify._space import Operation, StateSpace
 from pcmrs.fsm.verify._structure import path_of
@@ -109,6 +110,29 @@ def goals(space: StateSpace) -> Iterator[Finding]:
             f"From {describe_state(space, code)} no commands that end as declared lead to the goal any more: {wanted}."
         )
         yield _after(space, "goal_lost", text, code)
+
+
+def stages(space: StateSpace) -> Iterator[Finding]:
+    """Find a joint state in which a stage belongs to the procedure and cannot be reached.
+
+    Beside requests of users, only events count that a stage names: those are waited for.
+    """
+    guided = space.relation(lambda each: not each.spec.event or each.name in space.blueprint.guided, declared=True)
+    for index, stage in enumerate(space.blueprint.declared_stages):
+        code = _lost(space, stage, guided)
+        if code is not None:
+            text = (
+                f"From {describe_state(space, code)} nothing that users are led through leads to the stage {stage.id}: "
+            )
+            text += "correct its `goal`, or say by `when` where it belongs to the procedure."
+            yield Finding(code="stage_lost", text=text, path=("stage", str(index)), commands=space.path_to(code))
+
+
+def _lost(space: StateSpace, stage: StageSpec, guided: Relation) -> int | None:
+    """Return one of the nearest joint states from which a stage cannot be reached; None if there is none."""
+    seeds = space.reached.which(lambda batch: batch.matching(stage.goal))
+    open_ = states_leading_to(space.reached, seeds, space.leaving(guided))
+    return space.reached.first(lambda batch: batch.matching(stage.when) & ~open_.has(batch.codes))
 
 
 def releases(space: StateSpace) -> Iterator[Finding]:

@@ -48,7 +48,7 @@ def main(folder: Path) -> None:
             recordings = ("--recordings", str(Path(ready.folder) / "recordings"))
             try:
                 with console(*where, *recordings) as (_, url), browser(url) as page:
-                    page.get_by_test_id("state-registration").wait_for()
+                    page.get_by_test_id("next").wait_for()
                     with ThreadPoolExecutor(1) as pool:  # Playwright's own event loop runs here
                         pool.submit(asyncio.run, hunt(ready.endpoint, site, cell)).result()
                     take(page, folder)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pcmrs.console._meaning import SETTLING_TIME
 from tests import ROOT
 from tests.system.console.consoles import CHROMIUM, ask, browser, client_of, console, running_cell, to_registered_head
 from tests.system.network.remote_cell import CELL, SITE, Loopback, remote_cell
@@ -32,6 +33,8 @@ PATIENT = (
 FACE = ((0.5, 0.45), (0.45, 0.35), (0.55, 0.35), (0.5, 0.65), (0.44, 0.55), (0.56, 0.55))
 """Where the head is clicked, parts of the picture's width and height."""
 PLAN: dict[str, Any] = json.loads((ROOT / "examples" / "ratms_plan.json").read_text())
+HOLD_MS = 1_200
+"""Time for which a button is held that moves the arm."""
 CAMERA = "canvas => getElement(canvas.parentElement.id.slice(1)).camera.position.toArray()"
 
 
@@ -71,13 +74,31 @@ class Operator:
 
         self.page, self.expect = page, expect
         page.locator("canvas").first.wait_for()
+        self.more()
 
     def at(self, name: str) -> Locator:
         return self.page.get_by_test_id(name)
 
     def press(self, name: str) -> None:
         self.expect(self.at(name)).to_be_enabled(timeout=60_000)
-        self.at(name).click()
+        self.strike(name, hold_ms=self.patience(name))
+
+    def strike(self, name: str, *, hold_ms: int) -> None:
+        self.at(name).click(delay=hold_ms)
+
+    def patience(self, name: str) -> int:
+        """Waits until a button of an operation has settled, and returns for how long it is to be held, ms."""
+        if "." not in name and name not in ("next", "send-form"):
+            return 0
+        self.page.wait_for_timeout(1000.0 * SETTLING_TIME + 200.0)
+        return HOLD_MS if self.at(name).get_attribute("data-hold") is not None else 0
+
+    def in_state(self, branch: str, state: str) -> None:
+        self.expect(self.at(f"state-{branch}")).to_have_attribute("data-state", state, timeout=60_000)
+
+    def more(self) -> None:
+        """Opens what is offered besides the next step."""
+        self.at("more").get_by_role("button").first.click()
 
     def shows(self, name: str, text: str) -> None:
         self.expect(self.at(name)).to_contain_text(text, timeout=60_000)
@@ -96,7 +117,7 @@ class Operator:
         self.orbit(canvas)
         self.press("send-landmarks")
         self.open("workflow")
-        self.shows("state-registration", "100")
+        self.in_state("registration", "100")
         self.open("planning")
         self.expect(self.at("landmarks")).to_contain_text(f"landmark_{len(FACE)}:")
         self.expect(self.at("landmarks")).not_to_contain_text(f"landmark_{len(FACE) + 1}:")
@@ -128,7 +149,7 @@ class Operator:
         self.shows("tool-pose", "4.0 -11.0 143.0")
         self.press("send-tool")
         self.open("workflow")
-        self.shows("state-toolplan", "1")
+        self.in_state("toolplan", "1")
 
     def choose_tool(self) -> None:
         self.at("mode").get_by_text("Tool pose").click()
@@ -140,10 +161,10 @@ class Operator:
         self.plan_landmarks()
         self.press("digitization.digitize_all")
         self.press("registration.register")
-        self.shows("state-registration", "111")
+        self.in_state("registration", "111")
         self.plan_tool()
         self.press("robot.connect")
-        self.shows("state-placement", "retracted")
+        self.in_state("placement", "retracted")
 
     def pick(self, canvas: Locator, position: Any, name: str) -> None:
         """The surface is loaded after its scene: what is clicked before that hits nothing."""
@@ -168,24 +189,24 @@ def test_a_procedure_by_clicking(at_rest: list[str]) -> None:
         operator.to_standoff()
         operator.shows("residual", "mm")
         operator.press("placement.approach")
-        operator.shows("running", "placement.approach")
+        operator.shows("running", "Approach")
         page.keyboard.press("Escape")
         operator.expect(operator.at("latched")).to_be_visible()
-        operator.shows("state-placement", "held")
+        operator.in_state("placement", "held")
         operator.expect(operator.at("placement.back_off")).to_be_disabled()
         operator.press("robot.acknowledge")
         operator.press("placement.back_off")
-        operator.shows("state-placement", "retracted")
+        operator.in_state("placement", "retracted")
         operator.press("placement.approach")
-        operator.shows("state-placement", "standoff")
+        operator.in_state("placement", "standoff")
         operator.press("placement.confirm")
-        operator.shows("state-placement", "placed")
+        operator.in_state("placement", "placed")
         millimetres = float(operator.at("error").inner_text().split()[0])
         assert millimetres < 1.0
         operator.press("placement.back_off")
-        operator.shows("state-placement", "standoff")
+        operator.in_state("placement", "standoff")
         operator.press("placement.home")
-        operator.shows("state-placement", "retracted")
+        operator.in_state("placement", "retracted")
         operator.open("session")
         operator.shows("timeline", "placement.home: accepted")
         operator.open("signals")
@@ -196,12 +217,41 @@ def test_a_procedure_by_clicking(at_rest: list[str]) -> None:
         operator.shows("stop", "STOPP")
 
 
+def test_a_procedure_by_the_next_step_alone(at_rest: list[str]) -> None:
+    """Planning is done on the surface; everything else by the large button."""
+    with console(*at_rest) as (_, url), browser(url) as page:
+        operator = Operator(page)
+        operator.shows("next", "Plan landmarks")
+        operator.press("next")
+        operator.plan_landmarks()
+        operator.shows("next", "Plan")
+        operator.press("next")
+        operator.plan_tool()
+        for number in range(1, len(FACE) + 1):
+            operator.shows("next", f"Touch {number} of {len(FACE)}")
+            operator.press("next")
+        for label in ("Register", "Connect"):
+            operator.shows("next", label)
+            operator.press("next")
+        for label in ("Approach", "Confirm"):
+            operator.shows("next", label)
+            operator.at("next").click()
+            page.wait_for_timeout(500)
+            assert state(at_rest)["running"] == [], "a click moves nothing"
+            operator.press("next")
+        operator.in_state("placement", "placed")
+        page.keyboard.press("Escape")
+        operator.shows("stop-report", "Stopped by bus:local")
+        operator.shows("next", "Release Stop")
+        operator.press("next")
+        operator.expect(operator.at("latched")).to_be_hidden()
+
+
 class Typist(Operator):
     """Whoever has no mouse."""
 
-    def press(self, name: str) -> None:
-        self.expect(self.at(name)).to_be_enabled(timeout=60_000)
-        self.at(name).press("Enter")
+    def strike(self, name: str, *, hold_ms: int) -> None:
+        self.at(name).press("Enter", delay=hold_ms)
 
     def open(self, tab: str) -> None:
         self.at(f"tab-{tab}").press("Enter")
@@ -215,7 +265,7 @@ class Typist(Operator):
             self.shows("landmarks", f"{landmark['name']}:")
         self.press("send-landmarks")
         self.open("workflow")
-        self.shows("state-registration", "100")
+        self.in_state("registration", "100")
 
     def choose_tool(self) -> None:
         self.at("mode").get_by_role("button", name="Tool pose").press("Enter")
@@ -226,16 +276,16 @@ def test_a_procedure_by_keyboard(at_rest: list[str]) -> None:
         typist = Typist(page)
         typist.to_standoff()
         typist.press("placement.approach")
-        typist.shows("running", "placement.approach")
+        typist.shows("running", "Approach")
         page.keyboard.press("Escape")
-        typist.shows("state-placement", "held")
+        typist.in_state("placement", "held")
         for operation in ("robot.acknowledge", "placement.back_off"):
             typist.press(operation)
-        typist.shows("state-placement", "retracted")
+        typist.in_state("placement", "retracted")
         typist.press("placement.approach")
-        typist.shows("state-placement", "standoff")
+        typist.in_state("placement", "standoff")
         typist.press("placement.confirm")
-        typist.shows("state-placement", "placed")
+        typist.in_state("placement", "placed")
 
 
 def test_a_console_that_is_killed_in_motion_changes_nothing(at_rest: list[str]) -> None:
@@ -244,12 +294,12 @@ def test_a_console_that_is_killed_in_motion_changes_nothing(at_rest: list[str]) 
         with console(*at_rest) as (process, url), browser(url) as page:
             operator = Operator(page)
             operator.press("placement.approach")
-            operator.shows("running", "placement.approach")
+            operator.shows("running", "Approach")
             process.kill()
             cell.until(lambda state: state.branches["placement"] == "standoff")
             assert not cell.state().latched
     with console(*at_rest) as (_, url), browser(url) as page:
-        Operator(page).shows("state-placement", "standoff")
+        Operator(page).in_state("placement", "standoff")
 
 
 def test_a_viewer_sees_all_and_commands_nothing(tmp_path: Path) -> None:
@@ -259,7 +309,7 @@ def test_a_viewer_sees_all_and_commands_nothing(tmp_path: Path) -> None:
         with console(*where, "--identity", str(tmp_path / "eve")) as (_, url), browser(url) as page:
             viewer = Operator(page)
             viewer.shows("signed-in", "eve (viewer)")
-            viewer.shows("state-registration", "000")
+            viewer.in_state("registration", "000")
             buttons = page.locator("button[data-testid*='.']")
             viewer.expect(buttons.first).to_be_visible()
             assert buttons.count() > 30

@@ -108,7 +108,7 @@ def test_files_are_planned_on_or_refused_and_the_page_stays_up(tmp_path: Path) -
         planner.shows("check", "not known before a registration")
         planner.press("nudge-ArrowUp")
         planner.open("workflow")
-        planner.shows("state-registration", "100")
+        planner.in_state("registration", "100")
 
 
 @pytest.mark.nightly
@@ -142,7 +142,7 @@ def test_a_grid_is_laid_and_planned(tmp_path: Path) -> None:
         planner.shows("check", "not known before a registration")
         planner.press("send-grid")
         planner.open("workflow")
-        planner.shows("state-mapping", "ready")
+        planner.in_state("mapping", "ready")
 
 
 @pytest.mark.nightly
@@ -164,4 +164,4 @@ def test_a_trajectory_is_planned(tmp_path: Path) -> None:
         planner.shows("check", "not known before a registration")
         planner.press("send-trajectory")
         planner.open("workflow")
-        planner.shows("state-toolplan", "1")
+        planner.in_state("toolplan", "1")

@@ -60,9 +60,12 @@ FLAWS = """() => {
 class Finger(Operator):
     """Whoever taps and drags."""
 
-    def press(self, name: str) -> None:
-        self.expect(self.at(name)).to_be_enabled(timeout=60_000)
+    def strike(self, name: str, *, hold_ms: int) -> None:
+        assert not hold_ms, "Playwright's finger cannot be held"
         self.at(name).tap()
+
+    def more(self) -> None:
+        self.at("more").get_by_role("button").first.tap()
 
     def open(self, tab: str) -> None:
         self.at(f"tab-{tab}").tap()
@@ -98,7 +101,7 @@ def test_a_tablet_lying_and_upright(tmp_path: Path) -> None:
     tablet = {"viewport": LYING, "has_touch": True, "is_mobile": True, "user_agent": TABLET}
     with running_cell(tmp_path, *PATIENT) as address, console(*address) as (_, url), browser(url, **tablet) as page:
         finger = Finger(page)
-        finger.shows("state-registration", "000")
+        finger.in_state("registration", "000")
         finger.finds_no_flaw()
         page.get_by_role("tab", name="State chart").tap()
         page.set_viewport_size(UPRIGHT)
@@ -116,7 +119,7 @@ def test_a_tablet_lying_and_upright(tmp_path: Path) -> None:
         finger.press("registration.use_previous")
         finger.shows("refused", "registration.use_previous: rejected")
         finger.press("robot.connect")
-        finger.shows("state-robot", "1")
+        finger.in_state("robot", "1")
 
         finger.plan_landmarks()
 

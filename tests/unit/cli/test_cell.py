@@ -24,7 +24,7 @@ def nobody() -> str:
 
 
 @pytest.mark.parametrize(
-    "words", [["call", "robot.connect"], ["state"], ["state", "--json"], ["keys"], ["watch"], ["stop"]]
+    "words", [["call", "robot.connect"], ["next"], ["state"], ["state", "--json"], ["keys"], ["watch"], ["stop"]]
 )
 def test_without_a_daemon_the_status_is_3_with_one_error_line(words: list[str], nobody: str) -> None:
     ended = run(*words, "--endpoint", nobody)
@@ -110,3 +110,20 @@ async def test_the_hint_after_stop_names_the_stop_that_it_shows() -> None:
     hint = "latched until it is acknowledged: pcmrs call robot.acknowledge '{\"stop\": %d}'"
     assert stopped.stdout == f"stopped, and {hint % 1}\n"
     assert hint % 7 in shown.stdout.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "lines"),
+    [
+        (["robot.connect"], 0, ["next: robot.connect", "So it is.", "[ ] plan: Plan it"]),
+        ([], 0, ["So it is.", "[x] plan: Plan it"]),
+    ],
+    ids=["operation", "reached"],
+)
+async def test_next_prints_step_reason_and_stages(words: list[str], status: int, lines: list[str]) -> None:
+    async with open_bus(new_cell()) as bus:
+        Daemon(bus)
+        where = ("--endpoint", bus.settings.endpoint, "--site", bus.settings.site, "--cell", bus.settings.cell)
+        ended = await asyncio.to_thread(run, "next", *words, *where)
+    assert ended.stdout.splitlines() == lines
+    assert ended.exit_code == status

@@ -8,7 +8,7 @@ import msgspec
 
 from pcmrs.bus import Bus, CommandEdge, Empty
 from pcmrs.client import Client
-from pcmrs.messages import Command, Snapshot, Verdict
+from pcmrs.messages import Command, NextStep, NextStepRequest, Snapshot, StageShown, Verdict
 from tests.unit.bus.bus_cells import accepted, new_cell, open_bus, snapshot
 
 
@@ -22,6 +22,7 @@ class Daemon:
         self.snapshots = 0
         self.shown: dict[str, Any] = {}
         bus.serve("svc/snapshot", Empty, self.snapshot)
+        bus.serve("svc/next", NextStepRequest, self.next_step)
 
     async def submit(self, command: Command, *, arrived: float | None) -> Verdict:
         self.commands.append(command)
@@ -37,6 +38,11 @@ class Daemon:
     async def snapshot(self, _: str, __: Empty) -> Snapshot:
         self.snapshots += 1
         return msgspec.structs.replace(snapshot(len(self.commands)), **self.shown)
+
+    async def next_step(self, _: str, question: NextStepRequest) -> NextStep:
+        """The operation that is asked about; in no question, that the stage is reached."""
+        stages = [StageShown(id="plan", title="Plan it", reached=not question.operation)]
+        return NextStep(next=question.operation, why="So it is.", path=[question.operation], stages=stages)
 
 
 @asynccontextmanager

@@ -52,6 +52,12 @@ async def test_state_is_the_present_snapshot() -> None:
         assert (await client.state()).sequence == 1
 
 
+async def test_next_step_is_asked_of_the_daemon() -> None:
+    async with connected() as (_, client):
+        assert (await client.next_step("robot.connect")).path == ["robot.connect"]
+        assert (await client.next_step()).next == ""
+
+
 async def test_daemon_confirms_stop_and_device_nodes_receive_it() -> None:
     async with connected() as (daemon, client):
         heard = asyncio.Event()

@@ -24,8 +24,10 @@ async def test_without_asyncio_a_client_does_the_same() -> None:
                 with pytest.raises(PayloadError):
                     cell.call("nonsense")
                 cell.stop()
-                return [first, decision, event, shown]
+                return [first, decision, event, shown, cell.next_step("robot.connect").next]
 
-        assert await asyncio.to_thread(work) == [snapshot(0), "accepted", snapshot(7), snapshot(7)]
+        assert await asyncio.to_thread(work) == [
+            snapshot(0), "accepted", snapshot(7), snapshot(7), "robot.connect",
+        ]  # fmt: skip
         assert daemon.commands[0].source == "bus:ben"
         assert {*daemon.stops} == {"bus:ben"}

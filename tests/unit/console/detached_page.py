@@ -14,7 +14,11 @@ from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import GenericEventArguments, handle_event
 from nicegui.page import page as declare_page
 
+from pcmrs.console._action_button import PageActions
 from pcmrs.console._cell_view_model import CellViewModel
+from pcmrs.console._dialogs import Dialogs
+from pcmrs.console._meaning import SETTLING_TIME
+from pcmrs.console.settings import MotionConsent
 from pcmrs.console.texts import Texts
 from pcmrs.testing.clock import settle
 
@@ -25,6 +29,18 @@ class ShownCell(CellViewModel):
     """What is known at a moment that the test chooses."""
 
     now = 0.0
+
+
+class Hands:
+    """A person at one page: how time passes, and what the buttons of the page share."""
+
+    def __init__(self, consent: MotionConsent = "hold") -> None:
+        self.now = 0.0
+        self.actions = PageActions(ENGLISH, Dialogs(), lambda: self.now, consent)
+
+    def look(self) -> None:
+        """Lets so much time pass that buttons have settled."""
+        self.now += SETTLING_TIME
 
 
 class DetachedPage:
@@ -46,6 +62,10 @@ class DetachedPage:
     def everything(self) -> list[str]:
         """All texts of the page."""
         return list(_texts(self.client.content))
+
+    def says(self, text: str) -> bool:
+        """Whether any element has this text, in a dialog too."""
+        return any(getattr(each, "text", "") == text for each in self.client.elements.values())
 
     @property
     def notified(self) -> list[str]:
@@ -73,10 +93,20 @@ class DetachedPage:
         """Clicks on what is around the element: it gets the click although the element is disabled."""
         await self._click(self.at(name).parent_slot.parent)
 
+    async def hold(self, name: str, meaning: str | None = None) -> None:
+        """Presses and holds a button, as the browser reports it: with what it meant when it was pressed."""
+        button = self.at(name)
+        detail = button.props.get("data-hold") if meaning is None else meaning
+        if detail is not None:
+            await self._happen(button.parent_slot.parent, "held", {"detail": detail})
+
     async def _click(self, element: Element) -> None:
+        await self._happen(element, "click", [])
+
+    async def _happen(self, element: Element, kind: str, args: Any) -> None:
         core.loop = asyncio.get_running_loop()
-        for listener in [each for each in element._event_listeners.values() if each.type == "click"]:
-            handle_event(listener.handler, GenericEventArguments(sender=element, client=self.client, args=[]))
+        for listener in [each for each in element._event_listeners.values() if each.type == kind]:
+            handle_event(listener.handler, GenericEventArguments(sender=element, client=self.client, args=args))
         await settle()
 
     async def tick(self) -> None:

@@ -12,6 +12,7 @@ from pcmrs.console._choices import Choice, Choices, latch_of
 from pcmrs.messages import LeaseState, Snapshot
 from pcmrs.messages.identity import COMMANDING, ROLES, Role
 from pcmrs.messages.setup import Setup
+from tests.unit.console.detached_page import ENGLISH
 from tests.unit.console.shown_cell import setup
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
@@ -34,7 +35,7 @@ def offered(choices: Choices, shown: Snapshot, who: Setup) -> tuple[list[Choice]
 async def test_choice_not_offered_is_rejected_and_changes_nothing(stage: int) -> None:
     async with open_bench() as bench:
         await STAGES[stage](bench)
-        choices = Choices(bench.dispatcher.procedure.blueprint)
+        choices = Choices(bench.dispatcher.procedure.blueprint, ENGLISH)
         able, unable = offered(choices, bench.dispatcher.snapshot(), setup())
         assert able
         assert unable
@@ -50,7 +51,7 @@ async def test_choice_not_offered_is_rejected_and_changes_nothing(stage: int) ->
 @pytest.fixture
 async def start() -> tuple[Choices, Snapshot]:
     async with open_bench() as bench:
-        return Choices(bench.dispatcher.procedure.blueprint), bench.dispatcher.snapshot()
+        return Choices(bench.dispatcher.procedure.blueprint, ENGLISH), bench.dispatcher.snapshot()
 
 
 @pytest.mark.parametrize("role", ROLES)
@@ -88,3 +89,16 @@ async def test_the_latch_closes_what_moves_and_leaves_acknowledging(start: tuple
     assert "robot.acknowledge" in {each.name for each in able}
     assert not any(each.moves for each in able)
     assert any("latched" in each.why_not for each in unable)
+
+
+async def test_a_refused_operation_says_what_leads_on_to_it(start: tuple[Choices, Snapshot]) -> None:
+    found = start[0].all(start[1], setup())
+    assert found["robot.disconnect"].why_not.endswith(ENGLISH("leads_on", name="Connect"))
+    assert found["placement.approach"].why_not.endswith(ENGLISH("leads_on", name="Plan landmarks"))
+
+
+async def test_operations_have_names_in_words(start: tuple[Choices, Snapshot]) -> None:
+    found = start[0].all(start[1], setup())
+    assert found["registration.plan_landmarks"].title == "Plan landmarks"
+    assert found["placement.reinit"].title == ENGLISH("start_again")
+    assert found["registration.refine"].title == "Register by the landmarks and the points of the skin"

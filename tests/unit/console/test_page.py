@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,9 +10,10 @@ import pytest
 from msgspec.structs import replace
 from nicegui import ui
 
+from pcmrs.console._meaning import SETTLING_TIME
 from pcmrs.console._page import Page
 from pcmrs.console._surfaces import Surfaces
-from pcmrs.messages import BlueprintTag, Snapshot
+from pcmrs.messages import BlueprintTag, Running, Snapshot
 from pcmrs.messages._snapshot import LeaseState
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.testing.clock import settle
@@ -70,12 +72,19 @@ async def opened(page: DetachedPage, cell: Cell, playback: Any = None, **known_o
     await page.tick()
 
 
+def has(page: DetachedPage, name: str) -> bool:
+    return any(each.props.get("data-testid") == name for each in page.client.elements.values())
+
+
 async def key(page: DetachedPage, name: str) -> None:
     """Presses a key anywhere on the page."""
     event: Any = SimpleNamespace(action=SimpleNamespace(keydown=True), key=SimpleNamespace(name=name))
     with page.client:
-        for handler in page.only(ui.keyboard)._key_handlers:
-            await handler(event)
+        for keyboard in [each for each in page.client.elements.values() if isinstance(each, ui.keyboard)]:
+            handlers: list[Any] = [*keyboard._key_handlers]
+            for handler in handlers:
+                if inspect.isawaitable(result := handler(event)):
+                    await result
     await settle()
 
 
@@ -86,6 +95,37 @@ async def test_stop_is_sent_by_button_and_key_also_during_a_replay(page: Detache
     await page.press("stop")
     await key(page, "Escape")
     assert cell.stops == 2
+
+
+async def test_escape_closes_a_dialog_unless_something_is_at_stake(page: DetachedPage) -> None:
+    cell = Cell()
+    cell.snapshot = planned = replace(START, branches=START.branches | {"registration": "100"})
+    await opened(page, cell)
+    cell.now = SETTLING_TIME
+    await page.press_around("digitization.reuse_previous_except")
+    assert page.at("which-landmark")
+    await key(page, "Escape")
+    await settle()
+    assert (cell.stops, has(page, "which-landmark")) == (0, False)
+    await key(page, "Escape")
+    assert cell.stops == 1, "no dialog is open"
+    await page.press_around("digitization.reuse_previous_except")
+    cell.snapshot = replace(planned, running=[Running(branch="placement", operation="home", id="1")])
+    await key(page, "Escape")
+    assert (cell.stops, has(page, "which-landmark")) == (2, True)
+
+
+async def test_the_next_step_is_on_the_page_whatever_tab_is_open(page: DetachedPage) -> None:
+    cell = Cell()
+    await opened(page, cell)
+    assert page.text("next") == "Plan landmarks"
+    cell.now = SETTLING_TIME
+    await page.press_around("next")
+    tabs = next(
+        each for each in page.client.elements.values() if isinstance(each, ui.tabs) and each.value == "planning"
+    )
+    assert tabs.value == "planning"
+    assert page.at("mode").value == "landmarks"
 
 
 async def test_it_says_who_one_is_and_that_the_cell_is_simulated(page: DetachedPage) -> None:

@@ -1,4 +1,4 @@
-"""Operations are buttons: those that are possible send, the others say why not, and refusals stay in view."""
+"""Under "More", operations are buttons by branch: possible ones send, others say why not; refusals stay in view."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import msgspec
-
+from pcmrs.console._asking import Asking
 from pcmrs.console._choices import Choice, Choices
 from pcmrs.console._workflow import REFUSED, WorkflowPanel
-from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Running, Snapshot, Verdict
+from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Snapshot, Verdict
 from tests.support.shipped import shipped_blueprint
-from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
+from tests.unit.console.detached_page import ENGLISH, DetachedPage, Hands, ShownCell
 from tests.unit.console.shown_cell import setup
 
 BLUEPRINT = shipped_blueprint("ratms")
@@ -20,7 +19,7 @@ START = Snapshot(
     sequence=1, branches={name: next(iter(branch.states)) for name, branch in BLUEPRINT.branches.items()}, flags={},
     running=[], latched=False, blueprint=BlueprintTag(id="ratms", version="1", hash="0"),
 )  # fmt: skip
-CHOICES = Choices(BLUEPRINT).all(START, setup())
+CHOICES = Choices(BLUEPRINT, ENGLISH).all(START, setup())
 
 
 class Sender:
@@ -42,26 +41,23 @@ def verdict(number: int, **changed: Any) -> Verdict:
     return Verdict(id=str(number), sequence=number, **fields | changed)
 
 
-def panel(page: DetachedPage, view: ShownCell, sender: Any, shown: Snapshot = START, **choices: Choice) -> None:
+def panel(page: DetachedPage, view: ShownCell, sender: Any, **choices: Choice) -> WorkflowPanel:
+    hands = Hands()
     with page.client:
-        made = WorkflowPanel(view, setup(), BLUEPRINT, ENGLISH, sender)
-        made.refresh(shown, {**CHOICES, **{each.name: each for each in choices.values()}})
+        asking = Asking(view, setup(), sender, hands.actions)
+        made = WorkflowPanel(view, setup(), BLUEPRINT, hands.actions, asking)
+        made.refresh(START, {**CHOICES, **{each.name: each for each in choices.values()}})
+    hands.look()
+    return made
 
 
-def test_states_and_buttons_are_those_of_the_snapshot(page: DetachedPage) -> None:
+def test_branches_show_meanings_of_states_and_possible_buttons(page: DetachedPage) -> None:
     panel(page, ShownCell(), Sender())
     for name, choice in CHOICES.items():
         assert page.at(name).enabled == (not choice.why_not)
+        assert page.text(name) == choice.title
     assert any(choice.why_not for choice in CHOICES.values())
-    robot = START.branches["robot"]
-    assert page.text("state-robot") == f"{robot}: {BLUEPRINT.branches['robot'].states[robot]}"
-    assert page.text("running") == ENGLISH("nothing_runs")
-
-
-def test_what_runs_is_named_and_what_is_unknown_too(page: DetachedPage) -> None:
-    running = Running(branch="robot", operation="home", progress=0.5, id="1")
-    panel(page, ShownCell(), Sender(), msgspec.structs.replace(START, running=[running]))
-    assert page.text("running") == ENGLISH("running", name="robot.home")
+    assert page.text("state-robot") == BLUEPRINT.branches["robot"].states[START.branches["robot"]]
 
 
 async def test_a_possible_operation_is_sent_once(page: DetachedPage) -> None:
@@ -84,8 +80,7 @@ async def test_an_impossible_operation_says_why_and_is_not_sent(page: DetachedPa
 async def test_acknowledging_names_the_stop_that_is_shown(page: DetachedPage) -> None:
     """A newer Stop must not be acknowledged by somebody who has not seen it."""
     sender = Sender()
-    known = replace(CHOICES["robot.acknowledge"], why_not="", stop=7)
-    panel(page, ShownCell(), sender, acknowledge=known)
+    panel(page, ShownCell(), sender, acknowledge=replace(CHOICES["robot.acknowledge"], why_not="", stop=7))
     await page.press_around("robot.acknowledge")
     assert sender.sent == [("robot.acknowledge", {"stop": 7})]
 

@@ -89,6 +89,28 @@ async def test_05_rejection_names_branch_state_reason_and_allowed(bench: Bench) 
     assert bench.recorder.rows[-1] == ("decision", verdict.id, dict(bench.dispatcher.snapshot().branches), verdict)
 
 
+async def test_05_rejection_names_the_step_that_leads_on(bench: Bench) -> None:
+    verdict = await bench.do("placement.approach")
+    assert verdict.reason is not None
+    assert verdict.reason.fields["next"] == "registration.plan_landmarks"
+    assert verdict.reason.text.endswith("Next: registration.plan_landmarks.")
+    await bench.go(RETRACTED)
+    await bench.dispatcher.stop("test:operator")
+    latched = await bench.do("placement.approach")
+    assert latched.reason is not None
+    assert (latched.reason.code, latched.reason.fields["next"]) == ("latched", "robot.acknowledge")
+
+
+async def test_next_step_follows_the_committed_states(bench: Bench) -> None:
+    found = bench.dispatcher.next_step("robot.disconnect")
+    assert (found.next, found.path) == ("robot.connect", ["robot.connect", "robot.disconnect"])
+    assert (await bench.do("robot.connect")).decision == "accepted"
+    assert bench.dispatcher.next_step("robot.disconnect").next == "robot.disconnect"
+    await bench.dispatcher.stop("test:operator")
+    stop = bench.dispatcher.stop_number
+    assert f"Stop {stop} is latched" in bench.dispatcher.next_step().why
+
+
 async def test_08_cancelling_the_caller_does_not_cancel_the_operation(bench: Bench) -> None:
     gate = bench.script.hang("robot.connect")
     command = bench.command("robot.connect")

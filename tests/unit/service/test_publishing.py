@@ -15,13 +15,14 @@ from pcmrs.bus import Bus
 from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher
 from pcmrs.journal import Journal, JournalReader, JournalRow
-from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
+from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery, NextStepRequest
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service.health.report import report
 from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, publish_health
 from pcmrs.testing.clock import ManualClock, settle
 from tests.support.health_facts import WELL
+from tests.unit.dispatcher.dispatcher_fakes import Bench
 
 ROW = JournalRow(
     kind="event",
@@ -114,3 +115,12 @@ async def test_health_is_published_at_once_and_periodically() -> None:
     assert [(key, health.uptime) for key, health in bus.published] == [("state/health", 0.0), ("state/health", 1.0)]
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_next_step_is_that_of_the_dispatcher() -> None:
+    served, dispatcher = Served(), cast("Dispatcher[Any, Any]", Bench().dispatcher)
+    answer_queries(cast(Bus, served), dispatcher, cast(JournalReader, None), no_health, no_setup, no_data)
+    asked = served.handlers["svc/next"]
+    assert await asked("svc/next", NextStepRequest()) == dispatcher.next_step()
+    assert (await asked("svc/next", NextStepRequest(operation="robot.disconnect"))).next == "robot.connect"
+    await dispatcher.close()

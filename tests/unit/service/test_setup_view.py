@@ -28,9 +28,13 @@ def on_a_bench(work: Callable[[WorkflowBench], Awaitable[None]], surface: str = 
 
 def test_setup_is_that_of_the_cell_in_metres() -> None:
     async def look(bench: WorkflowBench) -> None:
-        blueprint = shipped_workflow("ratms").blueprint
+        workflow = shipped_workflow("ratms")
+        blueprint = workflow.blueprint
         settings = Settings(procedure=bench.cell.settings)
-        shown = setup_of(bench.cell, settings, blueprint)
+        shown = setup_of(bench.cell, settings, workflow)
+        assert {spec.payload for branch in blueprint.branches.values() for spec in branch.operations.values()} <= set(
+            shown.arguments
+        )
         assert shown.residual_limit == bench.cell.settings.registration.residual_limit_mm * 1e-3
         assert shown.tre_limit == bench.cell.settings.registration.tre_limit_mm * 1e-3
         assert parse_blueprint(shown.blueprint.encode(), origin="shown").hash == blueprint.hash

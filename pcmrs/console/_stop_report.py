@@ -1,0 +1,67 @@
+"""The newest Stop in words: what was stopped, by whom, why, and what to check before it is released. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pcmrs.fsm import Blueprint
+from pcmrs.messages import DeviceEvent, Snapshot, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class StopReport:
+    """One Stop.
+
+    Attributes:
+        number: Number of the Stop.
+        by: Who or which device has stopped; empty if this console has not seen it.
+        why: Reason; empty if this console has not seen it.
+        stopped: Operations that it has ended, ``branch.operation``.
+        checks: Keys of the texts that say what to check.
+    """
+
+    number: int
+    by: str = ""
+    why: str = ""
+    stopped: tuple[str, ...] = ()
+    checks: tuple[str, ...] = ()
+
+
+def stop_report(
+    shown: Snapshot, events: Iterable[tuple[float, Verdict | DeviceEvent]], blueprint: Blueprint
+) -> StopReport | None:
+    """Return the newest Stop; None while none is latched.
+
+    Args:
+        shown: The present snapshot.
+        events: Decisions and device events with their wall time, oldest first.
+        blueprint: The workflow.
+    """
+    if not shown.latched:
+        return None
+    known = [event for _, event in events]
+    number, by, why = shown.stop.number, "", ""
+    for event in known:
+        if isinstance(event, DeviceEvent) and event.danger and event.fields.get("stop") == number:
+            by, why = event.device, event.text
+    ended = (each for each in known if isinstance(each, Verdict) and _was_ended(each, why))
+    stopped = tuple(dict.fromkeys(f"{each.branch}.{each.operation}" for each in ended))
+    return StopReport(number, by, why, stopped, tuple(_checks(shown, blueprint, stopped)))
+
+
+def _was_ended(verdict: Verdict, why: str) -> bool:
+    return verdict.decision in ("failed", "unknown") and verdict.reason is not None and verdict.reason.text == why != ""
+
+
+def _checks(shown: Snapshot, blueprint: Blueprint, stopped: tuple[str, ...]) -> Iterable[str]:
+    if not shown.stop.confirmed:
+        yield "check_standstill"
+    if blueprint.uses_robot:
+        yield "check_arm"
+    specs = [blueprint.find(*name.split(".")) for name in stopped]
+    if any(spec is not None and spec.affects_patient for spec in specs):
+        yield "check_patient"
+    if shown.unknown:
+        yield "check_unknown"
+    yield "check_cause"
