@@ -1,4 +1,4 @@
-"""Asks the daemon for an operation: at once, or after a dialog for what only the person knows."""
+"""Asker: the daemon for an operation: at once, or after a dialog for what only the person knows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RETREAT = "retreat"
 
 
 class Asking:
-    """Asks for operations on behalf of one page.
+    """Asker: for operations on behalf of one page.
 
     Args:
         view: State of the cell, with the planned landmarks.

@@ -61,9 +61,9 @@ def test_the_next_landmark_is_named_and_sent() -> None:
     digitizing = shown(registration="100", toolplan="1")
     found = button(digitizing, touched=1)
     assert (found.label, found.arguments) == ("Touch 2 of 6: left eye", {"index": 1})
-    running = msgspec.structs.replace(
-        digitizing, running=[Running(branch="digitization", operation="digitize_one", id="1")]
-    )
+    prompt = TouchPrompt(text="Touch landmark 2 of 6", landmark="left_eye", number=2, count=6)
+    touching = Running(branch="digitization", operation="digitize_one", id="1", prompt=prompt)
+    running = msgspec.structs.replace(digitizing, running=[touching])
     found = button(running, touched=1)
     assert (found.press, found.meaning, found.why) == ("none", "", "Touch 2 of 6: left eye")
     assert open_landmark(data(len(NAMES))) is None
