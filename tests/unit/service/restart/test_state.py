@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
+from pcmrs.journal.notes import RESTORED, SOURCE
 from pcmrs.service.restart.state import PersistedState, RestartState
 from tests.support.trials import examples
 from tests.unit.service.restart.earlier_runs import RATMS, as_row
@@ -127,3 +128,12 @@ def test_only_what_explicit_operations_use_is_taken_back() -> None:
     assert row.result is not None
     restart_state.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))
     assert restart_state.kept.taken_back == row.result
+
+
+def test_a_restored_cell_starts_latched_until_acknowledged() -> None:
+    restart_state = RestartState(RATMS, PersistedState())
+    row = msgspec.structs.replace(as_row(*STARTED), kind="event", source=SOURCE, operation=RESTORED)
+    restart_state.take(row)
+    assert restart_state.kept.latched
+    restart_state.take(as_row("outcome", "robot.acknowledge", 1, "accepted"))
+    assert not restart_state.kept.latched
