@@ -13,7 +13,7 @@ from typing import Final
 from pcmrs.errors import ConfigurationError
 from pcmrs.journal import copy_journal, journal_files
 from pcmrs.journal.head import head_path
-from pcmrs.maintenance.folder import JOURNALS, is_temporary
+from pcmrs.maintenance._folder import JOURNALS, is_temporary
 
 _CURRENT_DIRECTORY: Final = -100
 _EXCHANGE: Final = 2

@@ -11,7 +11,8 @@ import pytest
 from pcmrs.errors import BackupError, ConfigurationError, PcmrsError
 from pcmrs.journal import Journal, verify
 from pcmrs.maintenance import back_up
-from pcmrs.maintenance.backup import MANIFEST, read_backup
+from pcmrs.maintenance._backup import read_backup
+from pcmrs.maintenance._folder import MANIFEST
 from tests.unit.journal.journal_rows import row
 from tests.unit.maintenance.labs import Lab, contents
 

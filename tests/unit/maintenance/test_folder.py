@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.maintenance import FORMAT, enter_folder, hold_folder
-from pcmrs.maintenance.folder import MANIFEST, MARKER, read_format
+from pcmrs.maintenance._folder import MANIFEST, MARKER, read_format
 from tests.unit.maintenance.labs import Lab, contents
 
 

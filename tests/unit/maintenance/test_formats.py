@@ -50,7 +50,7 @@ def test_formats_of_this_version_are_used_as_they_are(present: Lab) -> None:
 @pytest.mark.parametrize("version", VERSIONS)
 def test_configuration_and_register_of_each_version_are_read(version: str, tmp_path: Path) -> None:
     lab = unpacked(version, tmp_path)
-    files = [
+    files: list[tuple[str, Path, Callable[[Path], object]]] = [
         ("configuration", lab.configuration, read_settings),
         ("calibration", lab.folder / "pointer.toml", read_calibration),
         ("register", lab.folder / "pki" / "register.json", read_register),

@@ -18,9 +18,9 @@ from pcmrs.journal.reader import LARGEST
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.verification import Progress
 from pcmrs.journal.writer import JournalWriter
+from pcmrs.maintenance._backup import CONFIGURATION, Manifest, read_backup
 from pcmrs.maintenance._copying import check_room, files_in, make_new, settle, size_of, sync
-from pcmrs.maintenance.backup import CONFIGURATION, Manifest, read_backup
-from pcmrs.maintenance.folder import JOURNALS, MANIFEST, later_format, write_format
+from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format, write_format
 from pcmrs.messages import Message
 
 _NOT_COPIED: Final = frozenset({CONFIGURATION, MANIFEST})

@@ -19,8 +19,8 @@ from pcmrs.files import SECRET, sha256_of, write_durably
 from pcmrs.journal import verify
 from pcmrs.journal.verification import Progress
 from pcmrs.maintenance._copying import check_room, copy_folder, files_in, links_in, make_new, settle, size_of, sync
-from pcmrs.maintenance.folder import JOURNALS, MANIFEST, later_format
-from pcmrs.maintenance.formats import RECORDINGS
+from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format
+from pcmrs.maintenance._formats import RECORDINGS
 from pcmrs.messages import Message
 
 CONFIGURATION: Final = "configuration"

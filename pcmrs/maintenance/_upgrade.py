@@ -20,8 +20,8 @@ from pcmrs.journal.schema import VERSION
 from pcmrs.journal.verification import Progress
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.maintenance._copying import check_room, copy_folder, exchange, make_new, settle, size_of, sync
-from pcmrs.maintenance.folder import JOURNALS, hold_folder, write_format
-from pcmrs.maintenance.formats import RECORDINGS, FileFormat, FolderCheck, check_folder
+from pcmrs.maintenance._folder import JOURNALS, hold_folder, write_format
+from pcmrs.maintenance._formats import RECORDINGS, FileFormat, FolderCheck, check_folder
 from pcmrs.messages import Message
 
 _UNFINISHED: Final = "unfinished-upgrade"

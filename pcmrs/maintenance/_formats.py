@@ -12,7 +12,7 @@ from pcmrs.gateway.auth.counters import check_counters
 from pcmrs.journal import JournalReader, verify
 from pcmrs.journal.schema import VERSION
 from pcmrs.journal.verification import Progress
-from pcmrs.maintenance.folder import FORMAT, JOURNALS, later_format, read_format
+from pcmrs.maintenance._folder import FORMAT, JOURNALS, later_format, read_format
 from pcmrs.maintenance.migration import last_blueprint, migration_for
 from pcmrs.messages import Message
 from pcmrs.workflows.find import find_installed, find_workflow
