@@ -14,13 +14,14 @@ SECONDS := 30
 SEED := 0
 PART :=
 OPTIONS :=
+WITH := sim hardware console
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
 EXTRAS := daemon recording report authoring hardware console imaging ros2 archive docs fuzz dev
 
 # Some containers set it; each process would then compile every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test check quick nightly evidence mutants fuzz bench tools spin browser mono screenshots docs lint lock release clean
+.PHONY: help install demo test check quick nightly evidence mutants fuzz bench tools spin browser mono screenshots docs lint lock release bundle clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -97,6 +98,9 @@ lock: install ## Remake requirements.lock from the three pyproject.toml; keeps t
 
 release: install ## Build the wheels, the source archive, SBOM and checksums into dist/; publishes nothing
 	.ci/release
+
+bundle: install ## Make one archive that installs on a machine without a network; WITH="sim console" for other extras
+	.ci/bundle $(WITH)
 
 clean: ## Remove .venv, caches and what was built
 	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -43,7 +43,7 @@ LEFT_OUT = (
     "benchmarks/stop_stamps.py",
     "docs/evidence.md",
     "docs/progress.md",
-    "pcmrs/journal/_notes.py",
+    "pcmrs/journal/notes.py",
     "pcmrs/service/restart/recorder.py",
 )
 """History, names of times in reports, a generated page, the notes of an issue, and texts that stand in journals."""

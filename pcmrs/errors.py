@@ -155,6 +155,12 @@ class JournalError(PcmrsError):
     code = "journal_unavailable"
 
 
+class BackupError(PcmrsError):
+    """A backup of a cell is damaged, of a later version, or would not be whole."""
+
+    code = "backup_unusable"
+
+
 class ArchiveError(PcmrsError):
     """An archive of journals cannot be opened, read or written."""
 

@@ -34,6 +34,17 @@ FAILPOINTS: Final = (
 ROTATION_FAILPOINTS: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
 """Failpoints in the order in which a journal that continues in a new file passes them."""
 
+UPGRADE_FAILPOINTS: Final = (
+    "upgrade.after_copy",
+    "upgrade.after_journal",
+    "upgrade.before_exchange",
+    "upgrade.after_exchange",
+    "upgrade.before_end",
+)
+"""Failpoints in the order in which the upgrade of a cell's folder passes them."""
+
+_KNOWN: Final = (*FAILPOINTS, *ROTATION_FAILPOINTS, *UPGRADE_FAILPOINTS)
+
 
 @dataclass(frozen=True, slots=True)
 class _Armed:
@@ -59,10 +70,8 @@ def arm(text: str) -> None:
     """
     global _armed
     name, _, count = text.partition(":")
-    if text and (
-        name not in FAILPOINTS + ROTATION_FAILPOINTS or not (count.isascii() and count.isdigit() and int(count))
-    ):
-        known = ", ".join(FAILPOINTS + ROTATION_FAILPOINTS)
+    if text and (name not in _KNOWN or not (count.isascii() and count.isdigit() and int(count))):
+        known = ", ".join(_KNOWN)
         raise ConfigurationError(
             f"{VARIABLE}={text} arms nothing: give name:N with N from 1 and one of the names {known}.", value=text
         )

@@ -6,7 +6,7 @@ import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -35,6 +35,8 @@ from pcmrs.workflows.settings import ProcedureSettings
 
 __all__ = ["Settings", "read_settings"]
 
+SCHEMA: Final = 1
+"""Version of the format of the configuration."""
 JOURNAL_SUFFIX = ".sqlite"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 """Group of the entry points that name the settings of drivers."""
@@ -225,6 +227,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     """The root of the configuration.
 
     Attributes:
+        schema: Version of the format of the configuration; a later one is refused.
         workflow: Name of a workflow, or path of its blueprint: ``something.toml``.
         cell: Name, endpoint and folder of the cell.
         robot: The arm.
@@ -249,6 +252,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         ros2: Table of the driver ``ros2``.
     """
 
+    schema: int = SCHEMA
     workflow: str = "ratms"
     cell: CellSettings = CellSettings()
     robot: RobotSettings = RobotSettings()
@@ -347,6 +351,7 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
         ConfigurationError: A key is unknown or a value cannot be used; the text names it and what to do.
     """
     values = _values(file, overrides)
+    _check_schema(values.get("schema", SCHEMA))
     defaults = _defaults_of(values)
     settings = as_config(Settings, merge_tables(defaults, values), where=_locations(file, overrides))
     _check_limits(settings, defaults)
@@ -360,6 +365,13 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     used = settings.drivers().keys() | values.keys()
     _check_driver_tables({driver: getattr(settings, driver) for driver in TABLES if driver in used})
     return settings
+
+
+def _check_schema(found: object) -> None:
+    """Refuse a configuration of a later version before its keys, of which some are then unknown."""
+    if found != SCHEMA:
+        text = f"The configuration has schema {found!r}, and this version of PCMRS reads {SCHEMA}: use the version "
+        raise ConfigurationError(f"{text}that it was written for, or a later one.", schema=found, limit=SCHEMA)
 
 
 def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:

@@ -7,13 +7,13 @@ import math
 import tomllib
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 import msgspec
 import tomli_w
 
 from pcmrs.errors import FileFormatError, GeometryError
-from pcmrs.formats.reading import read_text, refuse
+from pcmrs.formats.reading import check_schema, read_text, refuse
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
 
@@ -40,6 +40,8 @@ COMMAND: dict[Kind, str] = {
 MARKER_AS_TOOL = "flange_from_coil"
 """Transform of a tool in earlier files, which did not distinguish its marker body from its contact point."""
 
+SCHEMA: Final = 1
+"""Version of the file format."""
 HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate again.\n"
 
 Label = Annotated[str, msgspec.Meta(max_length=200, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]
@@ -130,7 +132,9 @@ def read_calibration(path: Path) -> Calibration:
         FileFormatError: The file cannot be read or is not a calibration; the text says which key is wrong.
     """
     try:
-        return msgspec.convert(tomllib.loads(read_text(path)), Calibration)
+        content = tomllib.loads(read_text(path))
+        check_schema(path, content.get("schema", SCHEMA), SCHEMA)
+        return msgspec.convert(content, Calibration)
     except (msgspec.ValidationError, RecursionError) as error:
         refuse(path, f"is not a calibration: {error}.")
     except (ValueError, OverflowError) as error:  # more than TOMLDecodeError: a number may have too many digits

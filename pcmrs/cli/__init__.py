@@ -55,6 +55,15 @@ COMMANDS = {
         "pcmrs.cli.archive:archive",
         "Copy the journals of many cells to one place, verify it, and answer questions about all of them.",
     ),
+    "backup": LazyCommand(
+        "pcmrs.cli.backup:backup",
+        "Copy the configured cell into the new folder TARGET, and verify the copy.",
+    ),
+    "restore": LazyCommand("pcmrs.cli.backup:restore", "Make a cell's folder FOLDER from BACKUP."),
+    "upgrade": LazyCommand(
+        "pcmrs.cli.upgrade:upgrade",
+        "Bring FOLDER, a cell's folder that an earlier version wrote, to the formats of this version.",
+    ),
     "fsm": LazyCommand("pcmrs.cli.fsm:fsm", "Design, draft, verify, draw, import, test and compare workflows."),
     "faults": LazyCommand(
         LABORATORY, "Inject faults into simulated cells, and check that nothing is lost and nothing moves by itself."

@@ -20,7 +20,7 @@ RETREAT = "retreat"
 
 
 class Asking:
-    """Asker: for operations on behalf of one page.
+    """Sender of requests for operations on behalf of one page.
 
     Args:
         view: State of the cell, with the planned landmarks.

@@ -8,7 +8,7 @@ from pcmrs.messages import Snapshot
 
 
 class EscapeKey:
-    """Decides what the Escape key does in one workflow.
+    """Meaning of the Escape key in one workflow.
 
     Args:
         blueprint: The workflow.

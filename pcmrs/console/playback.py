@@ -16,7 +16,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
-from pcmrs.recording.reader import RecordingReader
+from pcmrs.recording.reader import RecordingReader, check_format
 
 RATE_HZ = 10.0
 """Rate of the stored joints and poses: faster than the eye, and an hour of them fits into memory."""
@@ -73,9 +73,11 @@ def load_recording(files: Sequence[Path], progress: Callable[[float], None]) -> 
         progress: Called with the share that has been read.
 
     Raises:
-        FileFormatError: One is not a recording of PCMRS, or they are empty.
+        FileFormatError: One is not a recording of PCMRS or is one of a later version, or they are empty.
         OSError: One cannot be read.
     """
+    for path in files:
+        check_format(path)
     readings = [RecordingReader(path) for path in files]
     total, before = sum(each.size for each in readings), 0
     tracks: dict[str, MessageTrack] = defaultdict(MessageTrack)

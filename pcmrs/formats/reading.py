@@ -33,6 +33,27 @@ def refuse(path: Path, problem: str, **fields: Any) -> NoReturn:
     raise FileFormatError(f"{path} {problem}", file=str(path), **fields) from None
 
 
+def check_schema(path: Path, found: object, newest: int) -> None:
+    """Refuse a file whose format is of a later version of PCMRS.
+
+    Args:
+        path: The file.
+        found: Version of its format, as the file has it.
+        newest: Latest version that this program reads.
+
+    Raises:
+        FileFormatError: The version is not a number from 1 to `newest`.
+    """
+    if not isinstance(found, int) or not 1 <= found <= newest:
+        refuse(
+            path,
+            f"has format {found!r}, and this version of PCMRS reads 1 to {newest}: use the version that wrote it, or a "
+            "later one.",
+            format=found,
+            limit=newest,
+        )
+
+
 def read_bytes(path: Path, limit: int) -> bytes:
     """Return the bytes of a file.
 

@@ -11,9 +11,9 @@ from typing import Final
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import failpoint
 from pcmrs.files import settle_on_disk
-from pcmrs.journal._notes import continued_row, note_rows, reopened_rows
 from pcmrs.journal.chain import mac_key, row_mac
 from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
+from pcmrs.journal.notes import continued_row, note_rows, reopened_rows
 from pcmrs.journal.reader import LARGEST, journal_files, numbered
 from pcmrs.journal.rows import START, JournalRow, RowPosition, chain_hash, encode_row
 from pcmrs.journal.schema import DATABASE_ERRORS, INSERT, VERSION, Record, make_database, open_for_writing, upgrade

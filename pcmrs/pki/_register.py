@@ -16,10 +16,13 @@ def read_register(path: Path) -> list[Identity]:
     """Read the register of an authority, or a copy of it.
 
     Raises:
-        ConfigurationError: The file cannot be read, holds a name that is not allowed, or has an entry without cells.
+        ConfigurationError: The file cannot be read, a later version wrote it, it holds a name that is not allowed, or
+            has an entry without cells.
     """
     try:
-        entries = msgspec.json.decode(path.read_bytes(), type=list[dict[str, Any]])
+        content = path.read_bytes()
+        _check_later(path, content)
+        entries = msgspec.json.decode(content, type=list[dict[str, Any]])
         for entry in entries:
             _check_has_cells(path, entry)
         found = msgspec.convert(entries, list[Identity])
@@ -28,6 +31,25 @@ def read_register(path: Path) -> list[Identity]:
     for each in found:
         check_name(each.name)
     return found
+
+
+class _Later(msgspec.Struct):
+    """A register of a later format, which is an object with its version; that of version 1 is a list."""
+
+    schema: int
+
+
+def _check_later(path: Path, content: bytes) -> None:
+    try:
+        later = msgspec.json.decode(content, type=_Later)
+    except msgspec.DecodeError:
+        return  # a list, or what the reader refuses
+    raise ConfigurationError(
+        f"{path} has format {later.schema}, and this version of PCMRS reads 1: use the version that wrote it, or a "
+        "later one.",
+        path=str(path),
+        format=later.schema,
+    )
 
 
 def _check_has_cells(path: Path, entry: Mapping[str, Any]) -> None:

@@ -86,6 +86,10 @@ CHUNK: Final = 16_384
 """Size of a chunk, bytes: a killed writer loses at most one, besides the messages since the last flush."""
 
 METADATA: Final = "pcmrs"
+FORMAT: Final = 1
+"""Version of the messages and metadata of a recording; the container has its own (MCAP 0)."""
+FORMAT_KEY: Final = "format"
+"""Key of `FORMAT` in the metadata. Recordings without it are of version 1."""
 
 _CHANNELS: dict[type, Any] = {
     FrameTransforms: FrameTransformsChannel,
@@ -154,7 +158,7 @@ class RecordingFile:
         # Without seeking, a chunk reaches the file as a whole; without threads, the writer uses one processor at most.
         options = MCAPWriteOptions(chunk_size=CHUNK, disable_seeking=True, compression_threads=0)
         self._writer = foxglove.open_mcap(self._sink, context=topics.context, writer_options=options)
-        self._writer.write_metadata(METADATA, metadata)
+        self._writer.write_metadata(METADATA, {FORMAT_KEY: str(FORMAT)} | metadata)
 
     @property
     def size(self) -> int:

@@ -18,7 +18,7 @@ from pcmrs.bus.settings import open_session
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.messages import Message
-from pcmrs.recording.reader import RecordingReader
+from pcmrs.recording.reader import RecordingReader, check_format
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.topics import TopicFilter
 
@@ -114,10 +114,12 @@ class PlaybackPublisher:
             progress: Callback for the file name, the number of bytes played, and their total.
 
         Raises:
-            FileFormatError: A file is not a recording of PCMRS.
+            FileFormatError: A file is not a recording of PCMRS, or a later version recorded it.
             ConfigurationError: A topic is not a key expression.
             OSError: A file cannot be read.
         """
+        for path in files:
+            check_format(path)
         wanted, readers = TopicFilter(excerpt.topics), [RecordingReader(path) for path in files]
         total = sum(reader.size for reader in readers)
         started_at, count, last = self._clock.monotonic(), 0, 0.0

@@ -13,10 +13,10 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.errors import FileFormatError
 from pcmrs.recording import raw
-from pcmrs.recording.file import METADATA
+from pcmrs.recording.file import FORMAT, FORMAT_KEY, METADATA
 from pcmrs.recording.subscriber import RawSample
 
-__all__ = ["RecordingReader"]
+__all__ = ["RecordingReader", "check_format", "recording_format"]
 
 LARGEST_CHUNK: Final = 2 * MAX_BYTES
 """Largest size of a decompressed chunk, bytes: the largest message of the bus and its view, after `CHUNK`, fit in."""
@@ -84,6 +84,11 @@ class RecordingReader:
                 monotonic, payload = raw.decode(record.data)
                 yield record.log_time, RawSample(keys[record.channel_id], payload, monotonic)
 
+    def format(self) -> int:
+        """Return the version of the recording, after its metadata has been read; 1 if it names none."""
+        found = self.origin.get(FORMAT_KEY, "")
+        return int(found) if found.isascii() and found.isdigit() else 1
+
     def _whole_records(self, file: BinaryIO) -> Iterator[list[McapRecord]]:
         """Yield each record, or the records of a chunk, which counts only as a whole."""
         declared = _Declared()
@@ -96,6 +101,33 @@ class RecordingReader:
             if isinstance(record, Metadata) and record.name == METADATA:
                 self.origin = record.metadata
             yield batch
+
+
+def recording_format(path: Path) -> int | None:
+    """Return the version of a recording, from its beginning; None if it has no metadata of PCMRS.
+
+    Raises:
+        FileFormatError: The file does not start as an MCAP file.
+        OSError: The file cannot be read.
+    """
+    reader = RecordingReader(path)
+    for _ in reader.records():
+        if reader.origin:
+            return reader.format()
+    return None
+
+
+def check_format(path: Path) -> None:
+    """Refuse a recording of a later version.
+
+    Raises:
+        FileFormatError: It is one, or does not start as an MCAP file.
+        OSError: The file cannot be read.
+    """
+    found = recording_format(path)
+    if found is not None and found > FORMAT:
+        text = f"{path} has format {found}, and this version of PCMRS reads 1 to {FORMAT}: use a later version."
+        raise FileFormatError(text, file=str(path), format=found, limit=FORMAT)
 
 
 def _parts(chunk: Chunk) -> list[McapRecord]:

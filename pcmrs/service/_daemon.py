@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import uuid
 from collections.abc import AsyncIterator, Iterable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
@@ -18,11 +17,11 @@ from pcmrs.bus import Bus, CommandEdge
 from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
 from pcmrs.gateway.links import TASK_FAILED, Gateway, open_gateway
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.journal import Journal
+from pcmrs.maintenance import enter_folder, hold_folder
 from pcmrs.messages import BlueprintTag
 from pcmrs.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.service._command_metrics import Source, counted
@@ -115,7 +114,7 @@ class Daemon:
         manager, metrics = ServiceManager(), MetricsServer(settings.metrics.port)
         session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
-            stack.enter_context(_only_daemon_of(settings.cell.path()))
+            stack.enter_context(_own_folder(settings.cell.path()))
             device_key = (settings.access.read_device_key() or new_key()) + new_run()
             bus = await Bus.open(settings.bus("router"), Seal(device_key, daemon=True))
             stack.push_async_callback(bus.close)
@@ -295,17 +294,11 @@ def _log_counters(sources: Iterable[Source]) -> None:
 
 
 @contextmanager
-def _only_daemon_of(folder: Path) -> Iterator[None]:
-    """Hold the lock of the cell's folder. Raises `ConfigurationError` if another daemon holds it."""
-    try:
-        make_private(folder)
-        lock = (folder / "lock").open("w")
-    except OSError as error:
-        raise ConfigurationError(f"{folder} cannot be used: {error.strerror}.", folder=str(folder)) from None
-    with lock:
+def _own_folder(folder: Path) -> Iterator[None]:
+    """Hold the lock of the cell's folder. Raises `ConfigurationError` if this daemon must not use it."""
+    with hold_folder(folder):
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            text = f"Another daemon runs this cell ({folder}): stop it, or choose another cell.name and ports."
-            raise ConfigurationError(text, folder=str(folder)) from None
+            enter_folder(folder)
+        except OSError as error:
+            raise ConfigurationError(f"{folder} cannot be used: {error.strerror}.", folder=str(folder)) from None
         yield

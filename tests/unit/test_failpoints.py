@@ -14,7 +14,7 @@ import pytest
 
 from pcmrs import failpoints
 from pcmrs.errors import ConfigurationError
-from pcmrs.failpoints import FAILPOINTS, ROTATION_FAILPOINTS, VARIABLE, arm, failpoint
+from pcmrs.failpoints import FAILPOINTS, ROTATION_FAILPOINTS, UPGRADE_FAILPOINTS, VARIABLE, arm, failpoint
 
 PROGRAM = """
 from pcmrs.failpoints import failpoint
@@ -44,7 +44,8 @@ def test_every_place_is_in_the_program_once() -> None:
     sources = Path(failpoints.__file__).parent.rglob("*.py")
     reached = [name for source in sources for name in re.findall(r'failpoint\("([a-z_.]+)"\)', source.read_text())]
     in_journal_both_ways = ["journal.before_acknowledge"]  # by the thread that commits, and at once
-    assert sorted(reached) == sorted([*FAILPOINTS, *ROTATION_FAILPOINTS, *in_journal_both_ways])
+    everywhere = [*FAILPOINTS, *ROTATION_FAILPOINTS, *UPGRADE_FAILPOINTS]
+    assert sorted(reached) == sorted([*everywhere, *in_journal_both_ways])
 
 
 def test_an_armed_process_dies_at_the_time_that_was_named() -> None:

@@ -63,7 +63,7 @@ def _guide_for(encoded: bytes) -> Guide:
 
 
 class Guide:
-    """Finds the way on in one workflow.
+    """Way on in one workflow.
 
     A way is short if it has few operations that no stage names, and then if it has few operations. If no stage names
     any, all operations that users may request count alike. Of two ways that are equally short, the one is taken whose

@@ -7,7 +7,7 @@ import hashlib
 import os
 import struct
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -51,19 +51,15 @@ class CounterFile:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_durably(path, b"".join(_slot(number, {}) for number in range(2)), mode=0o600)
             self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            slots = [_read(os.pread(self._descriptor, _SLOT, start)) for start in (0, _SLOT)]
+            slots = [os.pread(self._descriptor, _SLOT, start) for start in (0, _SLOT)]
         except OSError as error:
             text = f"The counters of signed peers, {path}, cannot be used: {error.strerror}."
             raise ConfigurationError(text, file=str(path)) from None
-        whole = [slot for slot in slots if slot is not None]
-        if not whole:
+        try:
+            self._number, self.kept = _newest(path, slots)
+        except ConfigurationError:
             os.close(self._descriptor)
-            raise ConfigurationError(
-                f"{path} is damaged, so it does not show which datagrams are old. Remove it, and give every peer a "
-                "new key: pcmrs peers new NAME.",
-                file=str(path),
-            )
-        self._number, self.kept = max(whole, key=lambda slot: slot[0])
+            raise
 
     def write(self, counters: Mapping[str, int]) -> None:
         """Replace the table, in the older slot; return when the disk has it. Raise `OSError`."""
@@ -76,6 +72,51 @@ class CounterFile:
     def close(self) -> None:
         """Close the file."""
         os.close(self._descriptor)
+
+
+def check_counters(path: Path) -> None:
+    """Require that this version can read a file of counters, without changing it.
+
+    Raises:
+        ConfigurationError: The file cannot be read, is damaged, or a later version wrote it.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
+    _newest(path, [content[start : start + _SLOT] for start in (0, _SLOT)])
+
+
+def _newest(path: Path, slots: Sequence[bytes]) -> tuple[int, dict[str, int]]:
+    """Return number and table of the newest whole slot.
+
+    Args:
+        path: The file, for the message.
+        slots: Bytes of both slots.
+
+    Raises:
+        ConfigurationError: No slot is whole, or a later version wrote the file.
+    """
+    whole = [read for slot in slots if (read := _read(slot)) is not None]
+    later = {slot[: len(_MAGIC)].decode("ascii", "replace") for slot in slots if _is_later(slot)}
+    if later and not whole:  # one flipped bit in one slot is no later version
+        raise ConfigurationError(
+            f"{path} has the format {', '.join(sorted(later))}, and this version of PCMRS reads {_MAGIC.decode()}: use "
+            "the version that wrote it, or a later one.",
+            file=str(path),
+        )
+    if not whole:
+        raise ConfigurationError(
+            f"{path} is damaged, so it does not show which datagrams are old. Remove it, and give every peer a "
+            "new key: pcmrs peers new NAME.",
+            file=str(path),
+        )
+    return max(whole, key=lambda slot: slot[0])
+
+
+def _is_later(slot: bytes) -> bool:
+    magic, family = slot[: len(_MAGIC)], _MAGIC[:-1]
+    return magic.startswith(family) and magic[len(family) :].isdigit() and magic > _MAGIC
 
 
 def check_room(kept: Mapping[str, int], peers: Mapping[str, object], path: Path) -> None:

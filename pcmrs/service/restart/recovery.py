@@ -4,62 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import structlog
-import tomli_w
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Workflow
 from pcmrs.dispatcher.decisions import reason_for
-from pcmrs.errors import ConfigurationError, JournalError, PcmrsError
-from pcmrs.fsm import Blueprint
-from pcmrs.fsm.blueprint import MigrationSpec
-from pcmrs.journal import Journal, JournalReader
-from pcmrs.messages import BlueprintTag, UnknownOutcome
+from pcmrs.errors import JournalError, PcmrsError
+from pcmrs.journal import Journal
+from pcmrs.maintenance.migration import migration_for
+from pcmrs.messages import UnknownOutcome
 from pcmrs.pki import Approval, read_approval
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.settings import Settings
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell, calibration_id_of
 from pcmrs.workflows.data import PlacementData
-
-
-def migration_for(journal: JournalReader, blueprint: Blueprint, file: Path) -> MigrationSpec | None:
-    """Return the declared migration from the journal's blueprint to the present one; None if none is needed.
-
-    Args:
-        journal: Journal of the cell.
-        blueprint: The workflow that will write it.
-        file: File of the workflow, for the message.
-
-    Raises:
-        ConfigurationError: The journal is of another blueprint, and the present one declares no migration from it;
-            the message has the table that does.
-    """
-    last = next((stored.row.blueprint for stored in journal.read(last=1)), None)
-    if last is None or (last.version, last.hash) == (blueprint.version, blueprint.hash):
-        return None
-    for known in blueprint.migrations:
-        if (known.version, known.hash) == (last.version, last.hash):
-            return known
-    text = (
-        f"{journal.path} was last written under {_named(last)}, and {file} is now {_named(blueprint)}. "
-        f"Review the change with `pcmrs fsm diff OLD {file}`; then add to {file}:\n\n{_migration(last)}\n"
-        "or start with another cell.folder."
-    )
-    raise ConfigurationError(text, journal=str(journal.path), version=last.version, hash=last.hash)
-
-
-def _named(of: BlueprintTag | Blueprint) -> str:
-    return f"{of.id} {of.version} (hash {of.hash})"
-
-
-def _migration(last: BlueprintTag) -> str:
-    table = {"version": last.version, "hash": last.hash, "why": "what makes it safe"}
-    return tomli_w.dumps({"migrations": [table]})
 
 
 def approval_of(workflow: Workflow[Cell, PlacementData], settings: Settings, now: float) -> Approval | None:

@@ -11,6 +11,7 @@ from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.journal import JournalRow
+from pcmrs.journal.notes import RESTORED, SOURCE
 from pcmrs.messages import Reason, UnknownOutcome
 
 TAKEN_BACK = ("previous", "noise", "previous_digitization", "previous_plan")
@@ -32,7 +33,8 @@ class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         taken_back: Field of the procedure's data to its value.
-        latched: The last Stop or danger was not acknowledged; the Stop at the end of a daemon does not count.
+        latched: The last Stop or danger was not acknowledged, or the cell was restored from a backup since; the Stop at
+            the end of a daemon does not count.
         begun: Unfinished commands.
         moving: Unfinished activities that move the robot; `operation` is the name of the activity.
         unknown: Unknown outcomes that no operator has settled.
@@ -84,6 +86,8 @@ class RestartState:
             self._end(row)
         elif row.kind == "config":
             self._leave_moving()
+        elif row.kind == "event" and (row.source, row.operation) == (SOURCE, RESTORED):
+            self._latched = True  # a Stop after the backup is not in this journal
         elif row.kind == "device":
             self._follow_activity(row)
             if row.operation == INITIAL_JOINTS:

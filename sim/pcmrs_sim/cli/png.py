@@ -22,7 +22,7 @@ _NO_OFFSET, _KEPT, _REPLACED = (0, 0), 0, 0
 
 
 class PngFile:
-    """Encodes pictures one by one, so that no film is held in memory.
+    """Encoder of pictures, one by one, so that no film is held in memory.
 
     Args:
         count: Number of pictures; one gives an ordinary PNG.

@@ -28,10 +28,10 @@ SWAP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _COMPILE = ("mcs", "-langversion:7", "-warnaserror")
 
 
-def compile_client(folder: Path) -> Path:
+def compile_client(folder: Path, package: Path = PACKAGE) -> Path:
     """Core without UnityEngine; the components on the stub; the programs. Returns the folder with all of it."""
     core, engine, layer = (folder / f"{name}.dll" for name in ("Pcmrs.Core", "UnityEngine", "Pcmrs.Unity"))
-    runtime, tests = PACKAGE / "Runtime", PACKAGE / "Tests~"
+    runtime, tests = package / "Runtime", package / "Tests~"
     _compile(core, sorted((runtime / "Core").glob("*.cs")))
     _compile(engine, [tests / "UnityEngine.cs"])
     _compile(layer, sorted((runtime / "Unity").glob("*.cs")), core, engine)

@@ -13,7 +13,7 @@ import pytest
 
 from pcmrs.failpoints import FAILPOINTS, VARIABLE
 from pcmrs.journal import Journal, JournalReader, verify
-from pcmrs.journal._notes import SOURCE
+from pcmrs.journal.notes import SOURCE
 from tests import ROOT
 
 WRITER = """

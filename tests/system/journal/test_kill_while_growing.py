@@ -12,7 +12,7 @@ import pytest
 
 from pcmrs.failpoints import ROTATION_FAILPOINTS, VARIABLE
 from pcmrs.journal import Journal, JournalReader, verify
-from pcmrs.journal._notes import SOURCE
+from pcmrs.journal.notes import SOURCE
 from pcmrs.journal.reader import journal_files
 from tests import ROOT
 

@@ -69,7 +69,7 @@ def test_a_changed_value_does_not_give_the_hash(tmp_path: Path, before: str, aft
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("schema = 1", "schema = 2"), "schema"),
+        (("schema = 1", "schema = 2"), "format 2.*reads 1 to 1"),
         (('kind = "tool"', 'kind = "pointer"'), "pointer of type"),
         (('type = "coil"', 'type = "needle"'), "type"),
         (("valid_days = 100", "valid_days = 0"), "valid_days"),

@@ -12,7 +12,7 @@ from pcmrs.console._next import NextButton, next_button, open_landmark
 from pcmrs.console.planning.panel import NAMES as NAMES_OF_PLANS
 from pcmrs.dispatcher.next_step import next_step
 from pcmrs.fsm import guide_for
-from pcmrs.messages import BlueprintTag, Running, Snapshot, StopState
+from pcmrs.messages import BlueprintTag, Running, Snapshot, StopState, TouchPrompt
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView
 from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import ENGLISH

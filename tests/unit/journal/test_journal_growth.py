@@ -15,9 +15,9 @@ from pcmrs.errors import JournalError
 from pcmrs.files import publish
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal import writer as writer_module
-from pcmrs.journal._notes import SOURCE
 from pcmrs.journal.export import json_lines
 from pcmrs.journal.head import HeadFile, head_path
+from pcmrs.journal.notes import SOURCE
 from pcmrs.journal.reader import journal_files, numbered
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter

@@ -85,5 +85,5 @@ def test_topics_are_declared_anew_in_each_file(tmp_path: Path) -> None:
         assert file.error is None
         reading = RecordingReader(tmp_path / name)
         assert [sample.payload for _, sample in reading.bus_messages()] == [name.encode()]
-        assert reading.origin == {"cell": "x", "file": name}
+        assert reading.origin == {"format": "1", "cell": "x", "file": name}
         assert file.size == (tmp_path / name).stat().st_size

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
+from pcmrs.journal.notes import RESTORED, SOURCE
 from pcmrs.service.restart.state import INITIAL_JOINTS, PersistedState, RestartState
 from tests.support.trials import examples
 from tests.unit.service.restart.earlier_runs import RATMS, as_row
@@ -137,3 +138,12 @@ def test_the_last_remembered_initial_posture_outlives_a_run() -> None:
     restart_state.take(as_row(*STARTED))
     assert restart_state.kept.initial_joints == (0.2,) * 7
     assert RestartState(RATMS, restart_state.kept).kept.initial_joints == (0.2,) * 7
+
+
+def test_a_restored_cell_starts_latched_until_acknowledged() -> None:
+    restart_state = RestartState(RATMS, PersistedState())
+    row = msgspec.structs.replace(as_row(*STARTED), kind="event", source=SOURCE, operation=RESTORED)
+    restart_state.take(row)
+    assert restart_state.kept.latched
+    restart_state.take(as_row("outcome", "robot.acknowledge", 1, "accepted"))
+    assert not restart_state.kept.latched

@@ -12,6 +12,8 @@ SOURCE = "journal"
 """Source of rows that the journal writes about itself."""
 CONTINUED = "continued"
 """Operation of the first row of each file but the first."""
+RESTORED = "restored"
+"""Operation of the row that follows the rows of a backup."""
 
 
 def note_rows(found: WritableJournal) -> list[JournalRow]:
@@ -59,6 +61,23 @@ def continued_row(before: JournalRow, earlier: str, place: RowPosition) -> Journ
     text = f"The journal has grown and goes on in this file, after row {place.sequence} of {earlier}."
     result = {"text": text, "earlier": earlier, "rows": place.sequence, "hash": place.hash.hex()}
     return _note(before, CONTINUED, result)
+
+
+def restored_row(before: JournalRow, made: str, program: str, rows: int) -> JournalRow:
+    """Return the row that reports that a journal was restored from a backup.
+
+    Args:
+        before: Last row of the backup.
+        made: Time of the backup, ISO 8601.
+        program: Version of PCMRS that made the backup.
+        rows: Sequence of the last row of the backup.
+    """
+    text = (
+        f"The cell was restored from a backup of {made}, which ends with row {rows}. If it ran after that, later rows "
+        "are not here: their commands are accepted again if they are repeated, and so are signed commands whose "
+        "peer counts by itself. The cell starts latched."
+    )
+    return _note(before, RESTORED, {"text": text, "made": made, "pcmrs": program, "rows": rows})
 
 
 def _note(before: JournalRow, operation: str, result: dict[str, object]) -> JournalRow:

@@ -1,0 +1,182 @@
+"""Upgrade of a folder: complete, or not at all, whatever interrupts it; the old folder is kept as it was."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from pcmrs.clock import SystemClock
+from pcmrs.errors import ConfigurationError
+from pcmrs.failpoints import UPGRADE_FAILPOINTS, VARIABLE
+from pcmrs.journal import JournalReader, StoredRow, verify
+from pcmrs.journal.head import head_path
+from pcmrs.maintenance import check_folder, enter_folder, hold_folder, upgrade_folder
+from tests import ROOT
+from tests.unit.maintenance.labs import Lab, contents
+
+BEFORE_EXCHANGE = UPGRADE_FAILPOINTS[: UPGRADE_FAILPOINTS.index("upgrade.after_exchange")]
+JOURNAL_FAILPOINTS = ("journal.before_begin", "journal.before_commit", "journal.after_commit", "journal.after_head")
+
+
+def rows(journal: Path) -> list[StoredRow]:
+    with JournalReader(journal) as reader:
+        return list(reader.read_whole())
+
+
+def upgrade(lab: Lab) -> Path:
+    """Upgrade the lab's cell; return the folder that was kept."""
+    kept = upgrade_folder(lab.cell, SystemClock().wall()).kept
+    assert kept is not None
+    return Path(kept)
+
+
+def upgrade_process(
+    lab: Lab, *, failpoint: str = "", largest: int | None = None, prefix: Sequence[str] = ()
+) -> subprocess.CompletedProcess[str]:
+    """Run `pcmrs upgrade`, which dies at a failpoint, or whose files may have at most `largest` bytes.
+
+    Args:
+        lab: Lab whose cell is upgraded.
+        failpoint: Place and number at which the process dies.
+        largest: Largest size of a file, bytes.
+        prefix: Words before the command: a program that runs it.
+    """
+
+    def limit() -> None:
+        if largest is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+
+    return subprocess.run(
+        [*prefix, sys.executable, "-m", "pcmrs.cli", "upgrade", str(lab.cell)],
+        env={**os.environ, VARIABLE: failpoint},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=limit,
+    )
+
+
+def test_the_first_version_is_upgraded_without_loss(first: Lab) -> None:
+    before, old_rows = contents(first.cell), rows(first.journal)
+    assert verify(first.journal).sound
+    kept = upgrade(first)
+
+    assert contents(kept) == before
+    assert check_folder(first.cell).action == "use"
+    enter_folder(first.cell)
+    found = verify(first.journal, kept=head_path(kept / first.journal.name))
+    assert (found.version, found.unnamed, found.problems) == (3, 0, ())
+    new_rows = rows(first.journal)
+    assert new_rows[: len(old_rows)] == old_rows
+    assert [stored.row.operation for stored in new_rows[len(old_rows) :]] == ["mac_begun"]
+    after = contents(first.cell)
+    same = before.keys() - {"ratms.sqlite", "ratms.sqlite.head"}
+    assert {name: after[name] for name in same} == {name: before[name] for name in same}
+    assert after.keys() - before.keys() == {"cell.json"}
+    assert (first.cell / "journal.key").stat().st_mode & 0o777 == 0o600
+
+
+def test_what_this_version_wrote_stays_as_it_is(present: Lab) -> None:
+    before = contents(present.folder)
+    report = upgrade_folder(present.cell, SystemClock().wall())
+    assert (report.kept, report.upgraded) == (None, ())
+    assert contents(present.folder) == before
+
+
+def test_second_upgrade_changes_nothing(first: Lab) -> None:
+    upgrade(first)
+    before = contents(first.folder)
+    assert upgrade_folder(first.cell, SystemClock().wall()).kept is None
+    assert contents(first.folder) == before
+
+
+@pytest.mark.parametrize("failpoint", [*UPGRADE_FAILPOINTS, *JOURNAL_FAILPOINTS])
+def test_a_kill_leaves_the_folder_usable_and_is_repeated(first: Lab, failpoint: str) -> None:
+    before = contents(first.cell)
+    killed = upgrade_process(first, failpoint=f"{failpoint}:1")
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert verify(first.journal).sound
+    if failpoint in (*BEFORE_EXCHANGE, *JOURNAL_FAILPOINTS):
+        assert contents(first.cell) == before
+    else:
+        enter_folder(first.cell)
+
+    repeated = upgrade_process(first)
+    assert repeated.returncode == 0, repeated.stderr
+    assert check_folder(first.cell).action == "use"
+    assert verify(first.journal).sound
+    (kept,) = first.folder.glob("cell.before-*")
+    assert contents(kept) == before
+    beside = {path.name for path in first.folder.iterdir() if path.name.startswith("cell")}
+    assert beside == {"cell", kept.name, "cell.toml", "cell1"}
+    assert not (first.cell / "unfinished-upgrade").exists()
+
+
+def check_unchanged(lab: Lab, before: dict[str, bytes], failed: subprocess.CompletedProcess[str]) -> None:
+    """Require that a failed upgrade said so and left nothing, and that a second one succeeds."""
+    assert failed.returncode in (2, 4), failed.stdout
+    assert "upgrade: " in failed.stderr
+    assert "Traceback" not in failed.stderr
+    assert contents(lab.folder) == before
+    upgrade(lab)
+    assert check_folder(lab.cell).action == "use"
+
+
+@pytest.mark.parametrize("largest", [0, 20_000, 40_000])
+def test_files_that_cannot_grow_change_nothing(first: Lab, largest: int) -> None:
+    before = contents(first.folder)
+    check_unchanged(first, before, upgrade_process(first, largest=largest))
+
+
+@pytest.mark.timeout(300)  # strace stops the process at many system calls
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace has system calls fail")
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("ratms.sqlite", "pwrite64"),
+        ("ratms.sqlite-wal", "pwrite64"),
+        ("ratms.sqlite-wal", "fdatasync"),
+        ("ratms.sqlite.head", "pwrite64"),
+        ("ratms.sqlite.head", "fsync"),
+        ("peers.counters", "sendfile"),
+        ("cell.json.part", "write"),
+    ],
+)
+def test_a_full_disk_at_any_file_changes_nothing(first: Lab, name: str, call: str) -> None:
+    before = contents(first.folder)
+    place = first.folder / "cell.upgrading" / name
+    inject = ["-e", f"trace={call}", "-e", f"inject={call}:error=ENOSPC:when=1", "-P", str(place)]
+    words = ["strace", "-f", "--seccomp-bpf", "-qq", "-o", str(first.folder.with_name("calls")), *inject]
+    failed = upgrade_process(first, prefix=words)
+    assert "ENOSPC" in first.folder.with_name("calls").read_text()
+    check_unchanged(first, before, failed)
+
+
+def test_a_folder_whose_daemon_runs_is_not_upgraded(first: Lab) -> None:
+    before = contents(first.folder)
+    with hold_folder(first.cell), pytest.raises(ConfigurationError, match="Another daemon runs this cell"):
+        upgrade(first)
+    assert contents(first.folder) == before
+
+
+def test_a_refused_file_stops_the_upgrade_before_it_starts(version_2_behind: Lab) -> None:
+    before = contents(version_2_behind.folder)
+    with pytest.raises(ConfigurationError, match="is not upgraded, and is unchanged"):
+        upgrade(version_2_behind)
+    assert contents(version_2_behind.folder) == before
+
+
+def test_recordings_are_not_copied_but_linked(first: Lab) -> None:
+    (recording,) = (first.cell / "recordings").glob("*.mcap")
+    number = recording.stat().st_ino
+    kept = upgrade(first)
+    assert recording.stat().st_ino == number == (kept / "recordings" / recording.name).stat().st_ino
