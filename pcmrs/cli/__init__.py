@@ -18,6 +18,9 @@ COMMANDS = {
         "pcmrs.cli.cell:next_",
         "Print the next step of the procedure, or the next step towards an operation, and why.",
     ),
+    "operations": LazyCommand(
+        "pcmrs.cli.operations:operations", "List the operations with their arguments, and whether they are allowed now."
+    ),
     "state": LazyCommand(
         "pcmrs.cli.cell:state", "Print the state of all branches, the flags, running operations, and unknown outcomes."
     ),
@@ -136,7 +139,20 @@ COMMANDS = {
 
 SECTIONS = {
     "Run a cell": ("serve", "console", "router", "ros2", "doctor"),
-    "Command and watch it": ("call", "state", "watch", "stop", "lease", "teleop", "keys", "cells", "health"),
+    "Command and watch it": (
+        "call",
+        "next",
+        "operations",
+        "state",
+        "watch",
+        "stop",
+        "lease",
+        "teleop",
+        "keys",
+        "cells",
+        "health",
+    ),
+    "Keep a cell": ("backup", "restore", "upgrade"),
     "Prepare a procedure": ("calibrate", "skin", "register", "coverage", "fsm", "pki", "peers"),
     "Records and results": (
         "journal",

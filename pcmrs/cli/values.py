@@ -32,9 +32,8 @@ class Operation(click.ParamType[str]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Return the name, or fail with a usage error."""
-        branch, dot, operation = str(value).partition(".")
-        if not (branch and dot and operation):
-            self.fail(f"'{value}' is not an operation: write branch.operation.", param, ctx)
+        if not _OPERATION.fullmatch(str(value)):
+            self.fail(f"'{value}' is not an operation: write branch.operation, such as robot.connect.", param, ctx)
         return str(value)
 
 
@@ -62,6 +61,7 @@ class Arguments(click.ParamType[dict[str, Any]]):
 
 
 _UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9}
+_OPERATION = re.compile(r"[a-z][a-z0-9_]*\.[a-z][a-z0-9_]*")
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([a-z]*)")
 
 

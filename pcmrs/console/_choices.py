@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pcmrs.client.objections import Objections
 from pcmrs.console.texts import Texts
-from pcmrs.fsm import Blueprint, Engine, OperationSpec, guide_for
+from pcmrs.fsm import Blueprint, OperationSpec, guide_for
 from pcmrs.fsm.closure import Denial
 from pcmrs.messages import Snapshot
 from pcmrs.messages.setup import Setup
@@ -54,7 +55,6 @@ class Choices:
     def __init__(self, blueprint: Blueprint, texts: Texts) -> None:
         self.blueprint = blueprint
         self._texts = texts
-        self._engine = Engine(blueprint)
         self._guide = guide_for(blueprint)
 
     def all(self, shown: Snapshot, setup: Setup) -> dict[str, Choice]:
@@ -64,39 +64,28 @@ class Choices:
             shown: The present snapshot.
             setup: Setup of the cell.
         """
-        self._engine.place(shown.branches)
+        objections = Objections(self.blueprint, shown, setup)
         found = (
-            self._choice(name, operation, spec, shown, setup)
+            self._choice(name, operation, spec, shown, objections)
             for name, branch in self.blueprint.branches.items()
             for operation, spec in branch.operations.items()
             if not (spec.iio or spec.event)
         )
         return {choice.name: choice for choice in found}
 
-    def _choice(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> Choice:
+    def _choice(
+        self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, objections: Objections
+    ) -> Choice:
+        objection = objections.to(branch, operation, spec)
         return Choice(
             branch=branch,
             operation=operation,
             title=self._title(operation, spec),
-            why_not=self._why_not(branch, operation, spec, shown, setup),
+            why_not=objection if isinstance(objection, str) else self._denied(branch, operation, objection, shown),
             payload=spec.payload,
             moves=spec.moves,
             stop=shown.stop.number if spec.unlatches else None,
         )
-
-    def _why_not(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> str:
-        if setup.role not in spec.allowed_roles:
-            return f"A {setup.role} may not ask for it: {' or '.join(spec.allowed_roles)} may."
-        holder = None if shown.lease is None else shown.lease.holder
-        if holder not in (None, setup.user) and setup.role != "planner":
-            return f"{holder} holds this cell."
-        if holder is None and setup.lease_required:
-            return "Nobody holds this cell: take the lease first."
-        if shown.latched and spec.blocked_when_latched:
-            release = " or ".join(self.blueprint.unlatching)
-            return f"Stop is latched: acknowledge with {release} first."
-        answer = self._engine.ask(branch, operation)
-        return self._denied(branch, operation, answer, shown) if isinstance(answer, Denial) else ""
 
     def _denied(self, branch: str, operation: str, denial: Denial, shown: Snapshot) -> str:
         """Return why the states do not allow an operation, and which operation leads on to it."""

@@ -29,12 +29,28 @@ def test_call_prints_the_verdict_and_its_status_tells_it(daemon: ServeProcess) -
 
 
 @pytest.mark.parametrize("words", [["robot.connect", "{"], ["robot.connect", "[]"], ["robot"], ["Robot.connect"]])
-def test_invalid_call_is_refused_in_one_line(daemon: ServeProcess, words: list[str]) -> None:
+def test_invalid_call_is_a_usage_error(daemon: ServeProcess, words: list[str]) -> None:
     address = ("--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", daemon.cell)
     ended = CliRunner().invoke(main, ["call", *address, *words])
     assert ended.exit_code == 2
     assert ended.stdout == ""
-    assert len(ended.stderr.splitlines()) == 1
+    assert ended.stderr.splitlines()[-1].startswith("Error: Invalid value")
+
+
+def test_operations_have_arguments_and_say_what_is_allowed(daemon: ServeProcess) -> None:
+    found = {row["operation"]: row for row in json.loads(daemon.pcmrs("operations", "--json").stdout)}
+    assert found["robot.connect"]["arguments"] == []
+    assert found["toolplan.clear"]["allowed"]
+    assert not found["placement.confirm"]["allowed"]
+    assert found["placement.confirm"]["why_not"]
+    (index,) = found["digitization.digitize_one"]["arguments"]
+    assert (index["name"], index["kind"], index["required"]) == ("index", "integer", True)
+    assert "alignment.within" not in found, "only a detector reports it"
+    shown = daemon.pcmrs("operations", "digitization").stdout
+    assert "index: integer" in shown
+    assert "robot.connect" not in shown
+    unknown = daemon.pcmrs("operations", "arm")
+    assert (unknown.returncode, "no branch 'arm'" in unknown.stderr) == (2, True)
 
 
 def test_the_state_has_its_keys(daemon: ServeProcess) -> None:
