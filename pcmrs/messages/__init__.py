@@ -48,6 +48,7 @@ from pcmrs.messages.device import (
     GateState,
     NodeBeat,
 )
+from pcmrs.messages.scene_event import SceneEvent
 from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
@@ -87,6 +88,7 @@ __all__ = [
     "PressRequest",
     "Reason",
     "Running",
+    "SceneEvent",
     "SceneTruth",
     "ServoSession",
     "Snapshot",

@@ -252,18 +252,40 @@ def registrations(runs: int, seed: int, plot: Path | None, as_json: bool) -> Non
 
 @click.command()
 @experiment_options("ratms")
+@click.option("--scene", is_flag=True, help="Instead, a hand enters the workspace, which a depth camera watches.")
 @readable_errors
-def demo(options: ExperimentOptions) -> None:
+def demo(options: ExperimentOptions, scene: bool) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
 
     With --workflow femoroplasty the bone is drilled and injected at the last of them. With --drivers virtual the daemon
     moves the arm and reads the tracker through the drivers of real devices.
+
+    With --scene a hand enters the workspace during an approach: the arm stops, and after the hand has left it goes on.
+    This runs in real time, with a simulated depth camera (docs/scene.md).
     """
+    if scene:
+        _scene(options)
+        return
     speed = "in real time" if options.rate == 1.0 else f"{options.rate:g} times as fast as real time"
     devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if options.drivers == "virtual" else ""
     say(f"A simulated cell, {speed}{devices}; speed limits as configured. Commands go over UDP, as from 3D Slicer.")
     say("Research software, not a medical device.")
     _placements(options, 12, as_json=False)
+
+
+def _scene(options: ExperimentOptions) -> None:
+    from pcmrs_lab.experiment.scene_demo import run_scene_demo
+
+    say("A simulated cell with a simulated depth camera, in real time. Research software, not a medical device.")
+    report = run(run_scene_demo(options.seed, options.overrides, say))
+    say(f"From the image that shows the hand: event after {report.frame_age_ms:.0f} ms, ", nl=False)
+    say(
+        f"braking after {report.braking_after_ms:.0f} ms, standstill after {report.standstill_after_ms:.0f} ms, ",
+        nl=False,
+    )
+    say(f"joints turned by at most {report.travelled_deg:.1f}° until then.")
+    if options.report_file is not None:
+        options.report_file.write_bytes(msgspec.json.encode(report) + b"\n")
 
 
 def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> PlacementReport:
