@@ -5,10 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 
-from pcmrs.scene.clusters import BoxZone
-from pcmrs.spatial import Transform
 from pcmrs.workflows.settings import PoseSetting
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -28,11 +25,6 @@ class WatchedZone(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     middle: Vector
     size: tuple[Positive, Positive, Positive]
-
-    def zone(self) -> BoxZone:
-        """Return the box."""
-        pose = Transform.from_quat_wxyz(self.middle, (1.0, 0.0, 0.0, 0.0))
-        return BoxZone(self.name, pose, np.array(self.size))
 
 
 WORKSPACE = WatchedZone("workspace", (0.45, 0.0, 0.45), (1.1, 1.2, 1.0))

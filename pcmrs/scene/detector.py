@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from pcmrs.scene.background import Background
-from pcmrs.scene.camera_settings import SceneCameraSettings
-from pcmrs.scene.clusters import find_clusters
+from pcmrs.scene._background import Background
+from pcmrs.scene._clusters import BoxZone, find_clusters
+from pcmrs.scene._tracking import Track, Tracker
+from pcmrs.scene.camera_settings import SceneCameraSettings, WatchedZone
 from pcmrs.scene.depth_frame import DepthFrame, Image, Intrinsics, points_of
 from pcmrs.scene.known_bodies import KnownBodies
-from pcmrs.scene.tracking import Track, Tracker
+from pcmrs.spatial import Transform
 
 Joints = npt.ArrayLike
 
@@ -46,9 +47,10 @@ class IntrusionDetector:
         self._rays = intrinsics.rays()
         self._bodies = bodies
         self._base_from_camera = settings.pose.transform()
-        self._zones = [zone.zone() for zone in settings.zones]
+        self._zones = [_box(zone) for zone in settings.zones]
         self._tracker = Tracker(settings.gate)
         self._empty: list[Image] = []
+        self._hidden = np.zeros((intrinsics.height, intrinsics.width), dtype=np.float32)
         self._background: Background | None = None
         self._number: int | None = None
 
@@ -79,15 +81,17 @@ class IntrusionDetector:
 
     def _learn(self, depth: Image, joints: Joints) -> SceneView:
         """Learn the background without the arm, which will move away from where it stands."""
-        self._empty.append(np.where(self._explained(depth, depth > 0.0, joints), 0.0, depth).astype(np.float32))
+        arm = self._explained(depth, depth > 0.0, joints)
+        self._empty.append(np.where(arm, 0.0, depth).astype(np.float32))
+        self._hidden = np.maximum(self._hidden, np.where(arm, depth, 0.0)).astype(np.float32)
         if len(self._empty) >= self._settings.background_frames:
-            self._background = Background(np.array(self._empty), self._settings.tolerance)
+            self._background = Background(np.array(self._empty), self._hidden, self._settings.tolerance)
             self._empty.clear()
         return SceneView("learning")
 
     def _find(self, background: Background, depth: Image, joints: Joints) -> SceneView:
-        settings, before = self._settings, background.before(depth)
-        explained = self._explained(depth, before, joints)
+        settings, before, revealed = self._settings, background.before(depth), background.hidden_before(depth)
+        explained = self._explained(depth, before | revealed, joints)
         blind = background.trouble(depth, explained)
         if blind:
             return SceneView(blind)
@@ -99,10 +103,17 @@ class IntrusionDetector:
             least_points=settings.least_points,
             least_extent=settings.least_extent,
         )
-        return SceneView(tracks=self._tracker.update(list(clusters)))
+        found = list(clusters)
+        if not found:  # nobody is there, so what the arm does not hide any more was there from the beginning
+            background.reveal(depth, revealed & ~explained)
+        return SceneView(tracks=self._tracker.update(found))
 
     def _explained(self, depth: Image, chosen: npt.NDArray[np.bool_], joints: Joints) -> npt.NDArray[np.bool_]:
         """Return the chosen pixels that show arm or body, (height, width)."""
         found = np.zeros_like(chosen)
         found[chosen] = self._bodies.explain(points_of(depth, self._rays, chosen, self._base_from_camera), joints)
         return found
+
+
+def _box(zone: WatchedZone) -> BoxZone:
+    return BoxZone(zone.name, Transform.from_quat_wxyz(zone.middle, (1.0, 0.0, 0.0, 0.0)), np.array(zone.size))

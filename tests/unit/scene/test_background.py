@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import GeometryError
-from pcmrs.scene.background import Background
+from pcmrs.scene._background import Background
 
 SHAPE = (20, 30)
 NOTHING = np.zeros(SHAPE, dtype=bool)
+UNHIDDEN = np.zeros(SHAPE, dtype=np.float32)
 
 
 def wall(depth: float = 2.0) -> np.ndarray:
@@ -18,7 +19,7 @@ def wall(depth: float = 2.0) -> np.ndarray:
 
 def background() -> Background:
     rng = np.random.default_rng(1)
-    return Background([wall() + rng.normal(0.0, 0.003, SHAPE) for _ in range(10)], 0.03)
+    return Background([wall() + rng.normal(0.0, 0.003, SHAPE) for _ in range(10)], UNHIDDEN, 0.03)
 
 
 def test_object_before_the_wall_is_found_pixel_by_pixel() -> None:
@@ -39,7 +40,7 @@ def test_object_where_nothing_was_measured_is_found() -> None:
     empty = np.array([wall()] * 10)
     empty[:, :, :5] = 0.0
     seen = wall()
-    assert Background(empty, 0.03).before(seen)[:, :5].all()
+    assert Background(empty, UNHIDDEN, 0.03).before(seen)[:, :5].all()
 
 
 def test_camera_without_a_view_says_why() -> None:
@@ -58,6 +59,20 @@ def test_arm_before_the_lens_does_not_count_as_occlusion() -> None:
     assert background().trouble(seen, NOTHING) == "occluded"
 
 
+def test_what_the_arm_hid_is_background_once_it_is_seen() -> None:
+    arm = np.zeros(SHAPE, dtype=bool)
+    arm[:, :10] = True
+    known = Background([np.where(arm, 0.0, wall())] * 10, np.where(arm, 1.0, 0.0).astype(np.float32), 0.03)
+    assert not known.before(wall()).any(), "behind the arm may be anything"
+    assert known.before(wall(0.9))[arm].all(), "but nothing was before it"
+    assert known.trouble(wall(), NOTHING) == ""
+    revealed = known.hidden_before(wall())
+    assert (revealed == arm).all()
+    known.reveal(wall(), revealed)
+    assert not known.hidden_before(wall()).any()
+    assert known.before(wall(1.5))[arm].all()
+
+
 @pytest.mark.parametrize(
     ("depths", "text"),
     [([wall()] * 4, "at least 5"), ([wall(0.0)] * 10, "Only 0%"), (wall(), "at least 5")],
@@ -65,4 +80,4 @@ def test_arm_before_the_lens_does_not_count_as_occlusion() -> None:
 )
 def test_background_needs_enough_images(depths: list[np.ndarray], text: str) -> None:
     with pytest.raises(GeometryError, match=text):
-        Background(depths, 0.03)
+        Background(depths, UNHIDDEN, 0.03)

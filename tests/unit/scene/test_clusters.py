@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.scene.clusters import BoxZone, Cluster, find_clusters
+from pcmrs.scene._clusters import BoxZone, Cluster, find_clusters
 from pcmrs.spatial import Transform
 
 TURNED = Transform.from_rotvec((0.5, 0.0, 0.5), (0.0, 0.0, np.pi / 4))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.scene.clusters import Cluster
-from pcmrs.scene.tracking import FORGOTTEN_AFTER, MOST_TRACKS, Tracker
+from pcmrs.scene._clusters import Cluster
+from pcmrs.scene._tracking import FORGOTTEN_AFTER, MOST_TRACKS, Tracker
 
 
 def at(x: float) -> Cluster:

@@ -32,9 +32,9 @@ def camera_of(settings: Settings, joints: Callable[[], Floats]) -> SimulatedDept
 class Watched:
     """A cell whose empty scene the detector knows."""
 
-    def __init__(self) -> None:
+    def __init__(self, joints: Floats = HOME) -> None:
         self.settings: Settings = read_settings()
-        self.joints: Floats = HOME
+        self.joints = joints
         self.camera: SimulatedDepthCamera = camera_of(self.settings, lambda: self.joints)
         own = self.settings.scene_camera
         self.detector = IntrusionDetector(own, self.camera.intrinsics, known_bodies(self.settings))
@@ -77,6 +77,18 @@ def test_moving_arm_and_body_are_no_intrusion(watched: Watched) -> None:
         watched.joints = q
         view = watched.look()
         assert (view.blind, view.tracks) == ("", [])
+
+
+def test_background_behind_the_arm_is_learned_when_it_leaves() -> None:
+    """The detector starts while the tool is at the body."""
+    at_body = np.array((0.014, 0.530, -0.003, -1.955, -0.019, 0.670, -1.543))
+    scene = Watched(at_body)
+    for q in (at_body, *postures()):
+        scene.joints = q
+        assert scene.look().tracks == []
+    scene.camera.hand = (0.3, 0.45, 0.3)
+    scene.look()
+    assert len(scene.look().tracks) == 1
 
 
 def test_hand_is_found_where_it_is(watched: Watched) -> None:

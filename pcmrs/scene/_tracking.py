@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from pcmrs.scene.clusters import Cluster
+from pcmrs.scene._clusters import Cluster
 
 SURE_AFTER: Final = 2
 """Number of frames after which a track has full confidence."""

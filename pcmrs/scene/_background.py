@@ -26,28 +26,35 @@ Mask = npt.NDArray[np.bool_]
 class Background:
     """Depth of an empty scene, as the median over some images, and its spread.
 
+    What the arm hides in these images is not known yet: there, only what is nearer than the arm was is before the
+    background, until `reveal` has seen what is behind it.
+
     Args:
-        depths: Images of the empty scene, m, (n, height, width); 0 where the depth is not known.
+        depths: Images of the empty scene, m, (n, height, width); 0 where the depth is not known, or shows the arm.
+        hidden: Depth of the arm where it hides the scene, m, (height, width); 0 elsewhere.
         tolerance: Least distance of an object before the background, m.
 
     Raises:
         GeometryError: There are fewer than `LEAST_FRAMES` images, or too few pixels have a known depth.
     """
 
-    def __init__(self, depths: npt.ArrayLike, tolerance: float) -> None:
+    def __init__(self, depths: npt.ArrayLike, hidden: Image, tolerance: float) -> None:
         images = np.asarray(depths, dtype=np.float32)
         if images.ndim != 3 or len(images) < LEAST_FRAMES:
             text = f"A background needs at least {LEAST_FRAMES} depth images of one size, not {images.shape}."
             raise GeometryError(text, images=len(images))
         known = images > 0.0
         often = known.mean(axis=0) > 0.5
-        if often.mean() < LEAST_KNOWN:
-            text = f"Only {often.mean():.0%} of the pixels have a depth: at least {LEAST_KNOWN:.0%} are needed. "
-            raise GeometryError(f"{text}Look at the camera, its range and its light.", known=float(often.mean()))
-        self._depth = np.where(often, _median(images, known), 0.0).astype(np.float32)
+        self._waiting = ~often & (hidden > 0.0)
+        known_share = float((often | self._waiting).mean())
+        if known_share < LEAST_KNOWN:
+            text = f"Only {known_share:.0%} of the pixels have a depth: at least {LEAST_KNOWN:.0%} are needed. "
+            raise GeometryError(f"{text}Look at the camera, its range and its light.", known=known_share)
+        self._depth = np.where(often, _median(images, known), np.where(self._waiting, hidden, 0.0)).astype(np.float32)
         spread = _median(np.abs(images - self._depth), known)
         self._near = np.maximum(tolerance, np.maximum(5.0 * spread, NOISE_OF_DEPTH * self._depth)).astype(np.float32)
-        self._known = often
+        self._tolerance = tolerance
+        self._known = often | self._waiting
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -64,6 +71,25 @@ class Background:
         seen = depth > 0.0
         return np.asarray(seen & (~self._known | (depth < self._depth - self._near)))
 
+    def hidden_before(self, depth: Image) -> Mask:
+        """Return the pixels that the arm has hidden until now, and that show something.
+
+        Args:
+            depth: Depth image, m, (height, width).
+        """
+        return np.asarray(self._waiting & (depth > 0.0))
+
+    def reveal(self, depth: Image, chosen: Mask) -> None:
+        """Take pixels that the arm has hidden until now as background.
+
+        Args:
+            depth: Depth image of an empty scene, m, (height, width).
+            chosen: Those pixels of `hidden_before` that do not show the arm.
+        """
+        self._depth[chosen] = depth[chosen]
+        self._near[chosen] = np.maximum(self._tolerance, NOISE_OF_DEPTH * depth[chosen])
+        self._waiting &= ~chosen
+
     def trouble(self, depth: Image, explained: Mask) -> str:
         """Return why the scene cannot be seen: ``occluded`` or ``camera_moved``; empty if it can.
 
@@ -71,7 +97,7 @@ class Background:
             depth: Depth image, m, (height, width).
             explained: Pixels that show the arm or the body, (height, width).
         """
-        known = self._known & ~explained
+        known = self._known & ~self._waiting & ~explained
         total = max(1, int(known.sum()))
         behind = known & (depth > self._depth + self._near)
         if behind.sum() > MOVED_SHARE * total:
