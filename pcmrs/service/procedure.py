@@ -218,7 +218,8 @@ class RunningProcedure(DispatcherListener):
         """Return the numbers of messages that reached the device nodes too late, and of events of wrong senders."""
         found = self.health.last.items()
         late = {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
-        return late | {"events.misnamed": self.misnamed, "scene.foreign": self._scene.foreign}
+        scene = {"scene.foreign": self._scene.foreign} if self._scene.has_sources else {}
+        return late | {"events.misnamed": self.misnamed} | scene
 
     def _take_event(self, key: str, event: DeviceEvent) -> None:
         """Report an event of the device that its key names: no device may report for the lease or the daemon."""

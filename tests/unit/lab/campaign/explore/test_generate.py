@@ -75,7 +75,7 @@ def test_people_mostly_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_fault_does_not_hold_up_people(scripts: list[SessionScript]) -> None:
     for act in (act for script in scripts for act in script.acts if act.what.startswith("fault:")):
         assert not act.waits
-        assert ("lasts" in act.arguments) == ((FAULTS | DETECTOR)[act.what.removeprefix("fault:")].end is not None)
+        assert ("lasts" in act.arguments) == ({**FAULTS, **DETECTOR}[act.what.removeprefix("fault:")].end is not None)
 
 
 def test_what_detectors_see_comes_up_in_watched_scenes_only(scripts: list[SessionScript]) -> None:
