@@ -278,11 +278,9 @@ def _scene(options: ExperimentOptions) -> None:
 
     say("A simulated cell with a simulated depth camera, in real time. Research software, not a medical device.")
     report = run(run_scene_demo(options.seed, options.overrides, say))
-    say(f"From the image that shows the hand: event after {report.frame_age_ms:.0f} ms, ", nl=False)
-    say(
-        f"braking after {report.braking_after_ms:.0f} ms, standstill after {report.standstill_after_ms:.0f} ms, ",
-        nl=False,
-    )
+    say(f"From the first image that shows the hand: sure after {report.sure_after_ms:.0f} ms, ", nl=False)
+    say(f"braking after {report.braking_after_ms:.0f} ms, ", nl=False)
+    say(f"standstill after {report.standstill_after_ms:.0f} ms, ", nl=False)
     say(f"joints turned by at most {report.travelled_deg:.1f}° until then.")
     if options.report_file is not None:
         options.report_file.write_bytes(msgspec.json.encode(report) + b"\n")

@@ -14,7 +14,7 @@ from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
 
 WATCHED = (
-    "scene_events.sources.camera={silent_after=0.7}",
+    "scene_events.sources.camera={silent_after=1.5}",
     "scene_events.rules=[{label='intrusion', least_confidence=0.6}]",
 )
 """Settings of a cell whose workspace is watched. A busy machine may keep the detector from its images for some time."""

@@ -28,15 +28,16 @@ class SceneDemoReport(msgspec.Struct, frozen=True, kw_only=True):
     """Result of the demo.
 
     Attributes:
-        frame_age_ms: Time from the image that made the intrusion sure to its event, ms.
-        braking_after_ms: Time from that image to the first joints that show a slower arm, ms.
-        standstill_after_ms: Time from that image to the first joints of an arm that stands, ms.
-        travelled_deg: Largest rotation of a joint from that image to the standstill, deg.
+        sure_after_ms: Time from the first image that shows the hand to the event that stops, ms: the second image with
+            it, and its evaluation.
+        braking_after_ms: Time from that first image to the first joints that show a slower arm, ms.
+        standstill_after_ms: Time from it to the first joints of an arm that stands, ms.
+        travelled_deg: Largest rotation of a joint from it to the standstill, deg.
         refused: Code with which the next motion was refused while the hand was there.
         went_on: Decision on the approach after the hand had left.
     """
 
-    frame_age_ms: float
+    sure_after_ms: float
     braking_after_ms: float
     standstill_after_ms: float
     travelled_deg: float
@@ -72,9 +73,10 @@ async def run_scene_demo(seed: int, overrides: Sequence[str], say: Callable[[str
             camera.show_hand()
             await moving
             await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
-            sure = next(event for _, event in camera.events if event.label == "intrusion" and event.confidence >= 1.0)
+            seen = [event for _, event in camera.events if event.label == "intrusion"]
+            first, sure = seen[0], next(event for event in seen if event.confidence >= 1.0)
             say(f"The detector has seen it (track {sure.track}, {sure.region}): the arm is held, and Stop is latched.")
-            braking, standing, travelled = _braking(joints, sure.captured)
+            braking, standing, travelled = _braking(joints, first.captured)
             await acknowledge(cell.client)
             refusal = await cell.client.call("placement.follow")
             refused = refusal.reason.code if refusal.reason is not None else refusal.decision
@@ -87,7 +89,7 @@ async def run_scene_demo(seed: int, overrides: Sequence[str], say: Callable[[str
             verdict = await accept(cell.client, "placement.approach")
             say("The hand has left: the tool is withdrawn, and approaches again.")
     return SceneDemoReport(
-        frame_age_ms=(sure.sent - sure.captured) * 1e3,
+        sure_after_ms=(sure.sent - first.captured) * 1e3,
         braking_after_ms=braking * 1e3,
         standstill_after_ms=standing * 1e3,
         travelled_deg=math.degrees(travelled),

@@ -41,10 +41,8 @@ async def approach_held(lab: Lab, code: str, why: str, begin: Harm, end: Harm) -
     Returns:
         Evidence of the row.
     """
-    async with lab.cell(*REAL_TIME, *WATCHED, fresh=False) as cell, scene_camera(cell) as camera:
+    async with lab.cell(*REAL_TIME, *WATCHED) as cell, scene_camera(cell) as camera:
         await asyncio.sleep(RETURNED)
-        if (await cell.client.state()).latched:  # since the detector of the row before has ended
-            await accept(cell.client, "robot.acknowledge")
         await to_retracted(cell.client)
         row = cell.last_row()
         moving = asyncio.create_task(cell.client.call("placement.approach"))
