@@ -30,6 +30,8 @@ from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages.identity import Identity
 from pcmrs.pki import check_registered, read_credentials, read_register
 from pcmrs.recording.settings import RecordingSettings
+from pcmrs.scene.camera_settings import SceneCameraSettings
+from pcmrs.scene.settings import SceneEventSettings
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
@@ -237,6 +239,8 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         stimulator: The stimulator.
         emg: The electromyograph.
         procedure: Parameters of the procedure.
+        scene_events: Sources of scene events, and what each label calls.
+        scene_camera: Depth camera of the detector `pcmrs-scene`.
         gateway: Links of the gateway, and its peers.
         access: Access to the cell from other machines.
         journal: The journal.
@@ -262,6 +266,8 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     stimulator: DeviceSettings = DeviceSettings()
     emg: DeviceSettings = DeviceSettings()
     procedure: ProcedureSettings = ProcedureSettings()
+    scene_events: SceneEventSettings = SceneEventSettings()
+    scene_camera: SceneCameraSettings = SceneCameraSettings()
     gateway: GatewayConfig = GatewayConfig()
     access: AccessSettings = AccessSettings()
     journal: JournalSettings = JournalSettings()

@@ -40,8 +40,11 @@ def _actions(row: KeyInfo, role: Role) -> Iterator[str]:
         yield "sees" if is_token else "hears" if is_stream else "asks" if "query" in row.use else "sends"
 
 
-ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
-"""Roles of processes on the cell's own machine, without certificates: consoles, device nodes, helpers of the daemon."""
+ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "scene", "daemon")
+"""Roles of processes on the cell's own machine, without certificates.
+
+They are consoles, device nodes, detectors, and helpers of the daemon.
+"""
 
 _NAMES: Final = re.compile(r"<[a-z]+>")
 _QUERY: Final = ("query",)

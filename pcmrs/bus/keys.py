@@ -57,6 +57,7 @@ EVERYBODY: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "device",
 READERS: Final[tuple[Role, ...]] = ("operator", "planner", "viewer", "teleoperator", "daemon")
 DAEMON: Final[tuple[Role, ...]] = ("daemon",)
 DEVICE: Final[tuple[Role, ...]] = ("device",)
+SCENE: Final[tuple[Role, ...]] = ("scene",)
 SENT_ON_SITE: Final[tuple[Role, ...]] = ("device", "daemon")
 """Owners of what devices publish. To a router, the daemon publishes for the devices on its own machine."""
 
@@ -98,7 +99,8 @@ KEYS = [
         "state/event as text, while somebody subscribes; the verdict on a put.",
         READERS,
     ),
-    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, SENT_ON_SITE),
+    # A detector needs the joints: it tells the arm from what does not belong in the scene.
+    _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", (*READERS, *SCENE), SENT_ON_SITE),
     _row(
         "state/pose/<body>",
         "subscribe",
@@ -115,6 +117,7 @@ KEYS = [
         "state/health", "subscribe", "Health", "The answer of svc/health, every few seconds, for recordings.", READERS
     ),
     _row("teleop/<user>", "put", "TeleopSetpoint", "Set points of the user who has engaged the clutch.", HOLDING),
+    _row("scene/<user>", "put", "SceneEvent", "Events that a detector recognises in the scene.", SCENE),
     _row("state/teleop", "subscribe", "TeleopStatus", "Status of the guidance, while the tool is guided.", READERS),
     _row("svc/snapshot", "query", "nothing -> Snapshot", "The present state, for clients that join late.", READERS),
     _row(

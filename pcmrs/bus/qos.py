@@ -44,6 +44,8 @@ SETPOINTS: Final = DataClass(Priority.REAL_TIME, newest=1, express=True)
 POSES: Final = DataClass(Priority.INTERACTIVE_LOW, newest=16)
 JOINTS: Final = DataClass(Priority.DATA_HIGH, newest=1)
 VIDEO: Final = DataClass(Priority.BACKGROUND, newest=1)
+# Room for all detections in some frames; a flood replaces its own events, and counts as the loss of its source.
+SCENE_EVENTS: Final = DataClass(Priority.INTERACTIVE_HIGH, newest=64, express=True)
 # Copies for ROS 2 have a lower priority than everything that the cell itself needs.
 COPIES: Final = DataClass(Priority.DATA_LOW, newest=16)
 COPIED_SNAPSHOTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
@@ -74,6 +76,7 @@ _TABLE: Final = [
         ("dev/*/setpoint", SETPOINTS),
         ("teleop/*", SETPOINTS),
         ("state/teleop", BEATS),
+        ("scene/*", SCENE_EVENTS),
         ("dev/*/event", EVENTS),
         ("video/*", VIDEO),
         ("ros2/tracker/*", POSES),

@@ -115,6 +115,9 @@ COMMANDS = {
     "record": LazyCommand(
         "pcmrs.cli.recording:record", "Record all messages of a running cell on its bus, until Ctrl-C."
     ),
+    "scene": LazyCommand(
+        "pcmrs.cli.scene:scene", "Watch the zones of a running cell with a depth camera, and report what enters them."
+    ),
     "ros2": LazyCommand(
         "pcmrs.cli.ros2:ros2",
         "Publish joints, frames, poses and the state of a running cell for ROS 2, until Ctrl-C.",

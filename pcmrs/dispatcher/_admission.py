@@ -47,6 +47,7 @@ class CommandAdmission(Generic[C, D]):
         lease: Lease of the cell.
         broken: Why nothing is accepted any more; None in operation.
         suspended: Why commands are rejected for now; None in operation.
+        motion_barred: Why commands that move towards the patient or act on it are rejected for now; None in operation.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class CommandAdmission(Generic[C, D]):
         self.lease = lease
         self.broken: Reason | None = None
         self.suspended: Reason | None = None
+        self.motion_barred: Reason | None = None
         self._coordinator = context.coordinator
         self._workflow = context.workflow
         self._procedure = context.procedure
@@ -79,6 +81,12 @@ class CommandAdmission(Generic[C, D]):
     def moving(self) -> bool:
         """True while something moves the robot, or a motion waits."""
         return self._activities.moving or self._locks.moving
+
+    @property
+    def only_retreats(self) -> bool:
+        """True if everything that moves the robot is a retreat; also if nothing does."""
+        pending = (*self._locks.running, *self._locks.waiting)
+        return not self._activities.moving and not any(each.spec.motion == "approach" for each in pending)
 
     def admit(self, command: Command, arrived: float | None = None) -> asyncio.Future[Verdict]:
         """Admit a command at once, unless it repeats an earlier one.
@@ -146,7 +154,8 @@ class CommandAdmission(Generic[C, D]):
             pending, answer = self._pending_command(command, asyncio.get_running_loop().create_future())
         except PcmrsError as error:
             return DryRunResult(reason=reason_of(error))
-        reason = self._suspended_for(command) or self._barred(pending) or self._refused(pending, answer)
+        reason = self._suspended_for(command) or self._barred(pending) or self._scene_objection(pending)
+        reason = reason or self._refused(pending, answer)
         if reason is None and (self.moving or self._locks.blocked(pending)):
             text = f"Something runs, so that {pending.name} is not looked at: ask again when it has ended."
             reason = Reason(code="busy", text=text)
@@ -167,9 +176,8 @@ class CommandAdmission(Generic[C, D]):
             self._decisions.reject(command, verdict, reason_of(error))
             return
         blocked = self._locks.blocked(pending)
-        reason = self._barred(pending) or (
-            self._locks.why_not_wait(pending) if blocked else self._refused(pending, answer)
-        )
+        reason = self._barred(pending) or self._scene_objection(pending)
+        reason = reason or (self._locks.why_not_wait(pending) if blocked else self._refused(pending, answer))
         if reason is not None:
             self._decisions.reject(command, verdict, reason)
         elif blocked:
@@ -245,6 +253,10 @@ class CommandAdmission(Generic[C, D]):
         spec = self._workflow.blueprint.find(command.branch, command.operation)
         leaves = spec is not None and (spec.motion == "retreat" or spec.unlatches)
         return None if leaves or command.source.startswith(EVENT_SOURCES) else self.suspended
+
+    def _scene_objection(self, pending: PendingCommand) -> Reason | None:
+        """Why the scene does not allow a command that moves towards the patient or acts on it; None if it does."""
+        return self.motion_barred if pending.acts and pending.spec.motion != "retreat" else None
 
     def _barred(self, pending: PendingCommand) -> Reason | None:
         """Why a command is not allowed in any state: latch, failure or lease."""

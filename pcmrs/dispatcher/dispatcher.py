@@ -260,6 +260,16 @@ class Dispatcher(Generic[C, D]):
         """True if nothing moves the robot, nor brakes it after a Stop: then its joints must not move."""
         return self._stops.standing and not self._admission.moving
 
+    @property
+    def moving(self) -> bool:
+        """True while something moves the robot, or a motion waits."""
+        return self._admission.moving
+
+    @property
+    def only_retreats(self) -> bool:
+        """True if everything that moves the robot is a retreat; also if nothing does."""
+        return self._admission.only_retreats
+
     def add_listener(self, listener: DispatcherListener) -> None:
         """Notify a listener, too, from now on."""
         self._listeners.add(listener)
@@ -315,12 +325,18 @@ class Dispatcher(Generic[C, D]):
         """
         self._admission.suspended = reason
 
+    def bar_motion(self, reason: Reason | None) -> None:
+        """Reject commands that move towards the patient or act on it for `reason` until called again with None.
+
+        A retreat is allowed, and what runs goes on.
+        """
+        self._admission.motion_barred = reason
+
     async def report(self, event: DeviceEvent) -> None:
         """Take a device's event: danger stops everything; its event operations are submitted at once."""
         self.lease.follow(event)
         if event.danger:
-            reason = Reason(code=event.code, text=event.text, fields=event.fields)
-            await self.stop(f"device:{event.device}", reason, partial(self._admission.admit_event, event))
+            await asyncio.shield(self.begin_stop_for(event))
             return
         announced = self.announce(event)
         following = self._admission.admit_event(event)
@@ -362,6 +378,11 @@ class Dispatcher(Generic[C, D]):
             A task. Its result is whether the robot has confirmed that it stands.
         """
         return self._stop_control.begin(source, reason, then)
+
+    def begin_stop_for(self, event: DeviceEvent) -> asyncio.Task[bool]:
+        """Begin to stop everything for a danger event, and submit its event operations; see `begin_stop`."""
+        reason = Reason(code=event.code, text=event.text, fields=event.fields)
+        return self.begin_stop(f"device:{event.device}", reason, partial(self._admission.admit_event, event))
 
     def press_stop(self, source: str, presses: int = 1) -> StopUnderWay:
         """Stop for a person; see `begin_stop`.

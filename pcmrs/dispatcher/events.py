@@ -36,6 +36,10 @@ REOPENED = DeviceEvent(
 )
 
 
+SCENE_NOT_CLEAR = "scene_not_clear"
+"""Code of the rejection of a motion while the scene does not allow it; see `Dispatcher.bar_motion`."""
+
+
 def stopped(source: str, reason: Reason, number: int) -> DeviceEvent:
     """Event that everything was stopped.
 

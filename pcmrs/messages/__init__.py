@@ -52,6 +52,7 @@ from pcmrs.messages.device import (
     GateState,
     NodeBeat,
 )
+from pcmrs.messages.scene_event import SceneEvent
 from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
@@ -94,6 +95,7 @@ __all__ = [
     "PressRequest",
     "Reason",
     "Running",
+    "SceneEvent",
     "SceneTruth",
     "ServoSession",
     "Snapshot",

@@ -13,7 +13,7 @@ from pcmrs.errors import ConfigurationError
 
 __all__ = ["Identity", "Principal", "Role"]
 
-Role = Literal["operator", "planner", "viewer", "device", "teleoperator", "daemon", "router"]
+Role = Literal["operator", "planner", "viewer", "device", "teleoperator", "scene", "daemon", "router"]
 """Role of an identity. It decides which keys of the bus it may use, and which operations it may request."""
 
 ROLES: tuple[Role, ...] = get_args(Role)

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.dispatcher import Dispatcher, Workflow
-from pcmrs.dispatcher.events import DAEMON, FAIL_STOP, NOT_CONFIRMED, SHUTDOWN
+from pcmrs.dispatcher.events import DAEMON, FAIL_STOP, NOT_CONFIRMED, SCENE_NOT_CLEAR, SHUTDOWN
 from pcmrs.dispatcher.stops import PENDING
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
@@ -148,8 +148,15 @@ class JournalPlayer:
     async def _submit_all(self, indices: Sequence[int]) -> None:
         for each in indices:
             if self._is_new(self._rows[each]):
-                self._spawn(self.dispatcher.submit(await self._command(each)))
+                self._spawn(self._submit(await self._command(each), self._rows[each]))
         await self._idle()
+
+    async def _submit(self, command: Command, row: JournalRow) -> None:
+        """Submit a command, as the scene allowed it: what the cameras saw then is known by what was rejected."""
+        reason = row.verdict.reason if row.verdict is not None else None
+        barred = reason is not None and reason.code == SCENE_NOT_CLEAR
+        self.dispatcher.bar_motion(reason if barred else None)
+        await self.dispatcher.submit(command)
 
     async def _command(self, index: int) -> Command:
         """Return the command at `index`; before one that acknowledges, answer the holds that it had to wait for.

@@ -26,7 +26,9 @@ from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, Beeps, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
+from pcmrs.messages.scene_event import SceneEvent
 from pcmrs.messages.setup import ProcedureDataView
+from pcmrs.scene.checks import check_scene_events
 from pcmrs.service._command_metrics import CommandMetrics
 from pcmrs.service._setup_view import gathered
 from pcmrs.service._teleoperation import connect_teleoperators
@@ -42,6 +44,7 @@ from pcmrs.service.watches.lease import LeaseWatch
 from pcmrs.service.watches.readiness import DeviceReadiness, awaited
 from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.service.watches.robot import RobotWatch
+from pcmrs.service.watches.scene import SceneWatch
 from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -149,6 +152,8 @@ class RunningProcedure(DispatcherListener):
         self.misnamed = 0
         self._reference = ReferenceWatch(self.cell, dispatcher)
         self._abandoned = AbandonedWatch(dispatcher, settings.procedure.abandoned_after, clocks.machine)
+        check_scene_events(settings.scene_events, workflow.blueprint, workflow.registry.payloads)
+        self._scene = SceneWatch(settings.scene_events, dispatcher, clocks.machine)
         self._lease = LeaseWatch(dispatcher, self.moving, clocks.cell, settings.access.lease_s)
         supervisor.report = dispatcher.report
 
@@ -167,6 +172,9 @@ class RunningProcedure(DispatcherListener):
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
         self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
         self._supervisor.start("abandoned watch", self._abandoned.run)
+        if self._scene.has_sources:
+            link.subscribe("scene/*", SceneEvent, self._scene.take)
+            self._supervisor.start("scene watch", self._scene.run, quiet=QUIET)
         self._supervisor.start("lease watch", self._lease.run, quiet=QUIET)
 
     def connected(self) -> bool:
@@ -208,10 +216,11 @@ class RunningProcedure(DispatcherListener):
         return True
 
     def counters(self) -> dict[str, int]:
-        """Return the numbers of messages that reached the device nodes too late, and of misnamed events."""
+        """Return the numbers of messages that reached the device nodes too late, and of events of wrong senders."""
         found = self.health.last.items()
         late = {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
-        return late | {"events.misnamed": self.misnamed}
+        scene = {"scene.foreign": self._scene.foreign} if self._scene.has_sources else {}
+        return late | {"events.misnamed": self.misnamed} | scene
 
     def _take_event(self, key: str, event: DeviceEvent) -> None:
         """Report an event of the device that its key names: no device may report for the lease or the daemon."""

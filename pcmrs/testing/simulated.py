@@ -15,6 +15,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.messages import Command, Snapshot, Verdict
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.clock import SimulatedClock
+from pcmrs.testing.detector import ScriptedDetector
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs.workflows.opening import open_workflow
@@ -115,6 +116,15 @@ class CellInSimulatedTime:
                 raise Unmet(f"The state did not come within {within:g} s; shown last: {self.snapshot.branches}.")
             await self.clock.sleep(POLL_PERIOD)
         return self.snapshot
+
+    def detector(self, source: str = "camera", rate_hz: float = 10.0) -> ScriptedDetector:
+        """Return a detector of scene events whose user is ``tester``; run it as a task.
+
+        Args:
+            source: Name of the source in the cell's table ``scene_events.sources``.
+            rate_hz: Rate of its frames, Hz.
+        """
+        return ScriptedDetector(self._link.publish, self.clock, source, USER, rate_hz)
 
     async def crash(self) -> None:
         """End the daemon like SIGKILL does, and restart it with the same journal."""

@@ -16,13 +16,14 @@ from pcmrs_lab.campaign.sham import is_sham
 COMMANDS: Final = "commands on the bus"
 STOP: Final = "Stop on the bus"
 SETPOINTS: Final = "set points on the bus"
+SCENE_EVENTS: Final = "scene events on the bus"
 QUERIES: Final = "queries on the bus"
 DEVICES: Final = "keys of devices"
 STREAMS: Final = "streams"
 ROS_POSES: Final = "poses of ROS 2"
 WILDCARDS: Final = "keys with wildcards"
 ADMIN: Final = "admin space"
-BUS: Final = (COMMANDS, STOP, SETPOINTS, QUERIES, DEVICES, STREAMS)
+BUS: Final = (COMMANDS, STOP, SETPOINTS, SCENE_EVENTS, QUERIES, DEVICES, STREAMS)
 """Keys of a cell that members use."""
 FILES: Final = "keys and settings"
 
@@ -33,7 +34,7 @@ LOCAL_ACCOUNT: Final = "local account"
 
 _FIRST: Final = {
     "cmd": COMMANDS, "stop": STOP, "teleop": SETPOINTS, "svc": QUERIES, "dev": DEVICES, "daemon": DEVICES,
-    "state": STREAMS, "json": STREAMS, "ros2": STREAMS, "@": ADMIN,
+    "scene": SCENE_EVENTS, "state": STREAMS, "json": STREAMS, "ros2": STREAMS, "@": ADMIN,
 }  # fmt: skip
 _CELL_PARTS: Final = 3
 """Number of chunks of an absolute key before the relative key: ``pcmrs/<site>/<cell>``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import msgspec
 from rich.console import RenderableType
 
 from pcmrs.cli.options import json_option, plot_option
-from pcmrs.cli.printing import say
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.tables import print_report, save_svg
@@ -255,20 +256,44 @@ def registrations(runs: int, seed: int, plot: Path | None, as_json: bool) -> Non
 
 @click.command()
 @experiment_options("ratms")
+@click.option("--scene", is_flag=True, help="Instead, a hand enters the workspace, which a depth camera watches.")
 @json_option
 @readable_errors
-def demo(options: ExperimentOptions, as_json: bool) -> None:
+def demo(options: ExperimentOptions, scene: bool, as_json: bool) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
 
     With --workflow femoroplasty the bone is drilled and injected at the last of them. With --drivers virtual the daemon
     moves the arm and reads the tracker through the drivers of real devices.
+
+    With --scene a hand enters the workspace during an approach: the arm stops, and after the hand has left it goes on.
+    This runs in real time, with a simulated depth camera (docs/scene.md).
     """
+    if scene:
+        _scene(options, as_json=as_json)
+        return
     speed = "in real time" if options.rate == 1.0 else f"{options.rate:g} times as fast as real time"
     devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if options.drivers == "virtual" else ""
     text = f"A simulated cell, {speed}{devices}; speed limits as configured. Commands go over UDP, as from 3D Slicer."
     say(text, err=as_json)
     say("Research software, not a medical device.", err=as_json)
     _placements(options, 12, as_json=as_json)
+
+
+def _scene(options: ExperimentOptions, *, as_json: bool) -> None:
+    from pcmrs_lab.experiment.scene_demo import run_scene_demo
+
+    tell = partial(say, err=as_json)
+    tell("A simulated cell with a simulated depth camera, in real time. Research software, not a medical device.")
+    report = run(run_scene_demo(options.seed, options.overrides, tell))
+    if as_json:
+        say_json(report)
+    else:
+        say(f"From the first image that shows the hand: sure after {report.sure_after_ms:.0f} ms, ", nl=False)
+        say(f"braking after {report.braking_after_ms:.0f} ms, ", nl=False)
+        say(f"standstill after {report.standstill_after_ms:.0f} ms, ", nl=False)
+        say(f"joints turned by at most {report.travelled_deg:.1f}° until then.")
+    if options.report_file is not None:
+        options.report_file.write_bytes(msgspec.json.encode(report) + b"\n")
 
 
 def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> PlacementReport:

@@ -183,7 +183,7 @@ def test_a_router_speaks_only_for_people_who_are_marked_with_it(lab: Lab) -> Non
     serving: Any = lab.router.declare_queryable("pcmrs/**", answer, complete=True)
     for user in ("local", "far", *NAMES, "ray1", "eva1", "nobody", "tom1"):
         for cell in (HERE, ELSEWHERE):
-            for key in ("cmd/<user>/x/x", "cmd/<user>/lease/take_over", "stop/<user>", "teleop/<user>"):
+            for key in ("cmd/<user>/x/x", "cmd/<user>/lease/take_over", "stop/<user>", "teleop/<user>", "scene/<user>"):
                 lab.far.put(f"{cell}/{concrete(key, user)}", b"{}")
                 lab.far.get(f"{cell}/{concrete(key, user)}", lambda _: None, timeout=PATIENCE)
     commands = {f"{HERE}/cmd/tom1/x/x", f"{HERE}/cmd/tom1/lease/take_over", f"{HERE}/stop/tom1"}

@@ -148,5 +148,14 @@ HOST: Mapping[str, RandomFault] = {
 }
 """Faults of the processes of daemon and node, of their hosts, and between the tracker and its node."""
 
+DETECTOR: Mapping[str, RandomFault] = {
+    "hand_enters": RandomFault((), _nothing, {}, 10.0),
+    "camera_silent": RandomFault((), _nothing, {}, 10.0),
+    "camera_frozen": RandomFault((), _nothing, {}, 10.0),
+    "camera_occluded": RandomFault((), _nothing, {}, 10.0),
+    "event_flood": RandomFault((), _nothing, {}, 3.0),
+}
+"""What a detector sees, and how it fails; only in sessions with a watched scene."""
+
 FAULTS: Mapping[str, RandomFault] = {**SCENE, **NETWORK, **HOST}
 """All faults; a script names one as ``fault:<name>``."""

@@ -6,7 +6,7 @@ import random
 
 from pcmrs.fsm import Blueprint
 from pcmrs_lab.campaign.explore.aiming import draw_aimed, draw_following, draw_silenced
-from pcmrs_lab.campaign.explore.faults import FAULTS
+from pcmrs_lab.campaign.explore.faults import DETECTOR, FAULTS
 from pcmrs_lab.campaign.explore.plans import GARBAGE, random_operation
 from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript
 
@@ -23,6 +23,10 @@ FOLLOWING = 0.05
 """Share of the sessions that follow the head; drawn separately, so that a seed of another session keeps its acts."""
 SILENCED = 0.05
 """Share of the sessions whose daemon becomes silent in a motion; drawn separately, too."""
+WATCHED = 0.05
+"""Share of the sessions in which a detector watches the scene; drawn separately, likewise."""
+FEWEST_EVENTS, MOST_EVENTS = 1, 6
+"""Least and largest number of what happens in a watched scene."""
 SLOW = (0.0, 0.0, 0.1, 0.3)
 """Shares of the windows that take time by themselves; one for each session."""
 IN_THE_MIDDLE = 0.3
@@ -57,7 +61,27 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
         acts = draw_aimed(draw)
     else:
         acts = _draw_any(blueprint, draw)
-    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+    of_scene = random.Random(f"scene {workflow} {seed}")
+    scene = of_scene.random() < WATCHED
+    if scene:
+        acts = draw_scene(acts, of_scene)
+    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, scene=scene, acts=acts)
+
+
+def draw_scene(acts: list[Act], draw: random.Random) -> list[Act]:
+    """Return acts with random events of a watched scene among them.
+
+    Args:
+        acts: Acts of the session.
+        draw: Source of randomness.
+    """
+    acts = list(acts)
+    for _ in range(draw.randint(FEWEST_EVENTS, MOST_EVENTS)):
+        name = draw.choice(list(DETECTOR))
+        lasts = round(draw.uniform(0.2, DETECTOR[name].lasts), 3)
+        event = Act(round(draw.uniform(0.0, BRIEF), 3), f"fault:{name}", "", {"lasts": lasts}, waits=False)
+        acts.insert(draw.randint(0, len(acts)), event)
+    return acts
 
 
 def _draw_any(blueprint: Blueprint, draw: random.Random) -> list[Act]:

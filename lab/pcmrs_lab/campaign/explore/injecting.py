@@ -9,7 +9,8 @@ from typing import Any
 
 from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.messages import Verdict
-from pcmrs_lab.campaign.explore.faults import HOST, NETWORK, SCENE
+from pcmrs.testing.detector import ScriptedDetector
+from pcmrs_lab.campaign.explore.faults import DETECTOR, HOST, NETWORK, SCENE
 from pcmrs_lab.campaign.explore.operators import Operators
 from pcmrs_lab.campaign.explore.witness import Witness
 from pcmrs_sim.deterministic.cell import NODE, SimulatedCell
@@ -20,6 +21,8 @@ RETRY_AFTER = 2.0
 """Time after which a daemon that has not started is started again, s."""
 ATTEMPTS = 60
 """Number of attempts to start a daemon: they take longer than any fault lasts."""
+FLOOD = 60
+"""Number of times that a flooding detector sends each event."""
 FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm away from its commanded motion."""
 MOVES = ("shift_body", "bump_reference", "dash_head")
@@ -33,6 +36,7 @@ class Faults:
         cell: Cell into which they are injected.
         operators: Operators, whose clock may be wrong.
         witness: Witness, which learns what it may not count as a violation.
+        detector: Detector of a watched scene; None if nobody watches it.
 
     Attributes:
         reached: Number of times that each fault was injected.
@@ -41,11 +45,18 @@ class Faults:
             tracker has to be restarted.
     """
 
-    def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
+    def __init__(
+        self,
+        cell: SimulatedCell,
+        operators: Operators,
+        witness: Witness,
+        detector: ScriptedDetector | None = None,
+    ) -> None:
         self.reached: Counter[str] = Counter()
         self._cell = cell
         self._operators = operators
         self._witness = witness
+        self._detector = detector
         self.mistaken = False
         self._wrong: Counter[str] = Counter()
         self._ending: dict[asyncio.Task[None], None] = {}
@@ -67,7 +78,7 @@ class Faults:
         """Inject a fault, and end it after its argument `lasts`, s; skip one that the cell refuses.
 
         Args:
-            name: Key of `FAULTS`.
+            name: Key of `FAULTS`, or of `DETECTOR`.
             given: Arguments from the script.
         """
         arguments = {key: value for key, value in given.items() if key != "lasts"}
@@ -95,6 +106,8 @@ class Faults:
                 await self._apply(name, arguments | dict(end))
         elif name in NETWORK:
             self._end_network(name)
+        elif name in DETECTOR:
+            self._show(name, on=False)
         else:
             await self._end_host(name)
         self._end(name)
@@ -104,6 +117,8 @@ class Faults:
             await self._cell.devices["scene"].inject(name, arguments)
         elif name in NETWORK:
             self._harm_network(name, arguments)
+        elif name in DETECTOR:
+            self._show(name, on=True)
         else:
             await self._hosts[name](arguments)
 
@@ -136,6 +151,21 @@ class Faults:
         view.calm.set(not self._wrong, view.now)
         if name in FROM_OUTSIDE and not any(self._wrong[each] for each in FROM_OUTSIDE):
             view.by_hand = view.now + BY_HAND
+
+    def _show(self, name: str, *, on: bool) -> None:
+        detector = self._detector
+        if detector is None:
+            return
+        if name == "hand_enters":
+            detector.sees = {"hand": {}} if on else {}
+        elif name == "camera_silent":
+            detector.silent = on
+        elif name == "camera_frozen":
+            detector.frozen = on
+        elif name == "camera_occluded":
+            detector.blind = "occluded" if on else ""
+        else:
+            detector.repeats = FLOOD if on else 1
 
     def _harm_network(self, name: str, arguments: dict[str, Any]) -> None:
         conditions = self._cell.network.conditions

@@ -50,6 +50,7 @@ class SessionScript(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         physics: Physics of the simulated arm.
         coded: True if every message is packed and unpacked.
         slow: Share of the windows that take time although no act requests it.
+        scene: True if a detector watches the scene.
         acts: Acts in order.
     """
 
@@ -58,6 +59,7 @@ class SessionScript(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     physics: Physics = "kinematic"
     coded: bool = False
     slow: float = 0.0
+    scene: bool = False
     acts: list[Act] = []
 
 

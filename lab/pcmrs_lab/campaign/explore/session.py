@@ -15,13 +15,15 @@ import msgspec
 import structlog
 
 from pcmrs.journal import JournalReader
+from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs.testing.detector import ScriptedDetector
 from pcmrs_lab.campaign.explore.injecting import Faults
 from pcmrs_lab.campaign.explore.next_step_policy import next_step_policy
 from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
 from pcmrs_lab.campaign.explore.script import Act, SessionScript
-from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
+from pcmrs_lab.campaign.explore.settings import FRAME_RATE, settings_of, workflow_of
 from pcmrs_lab.campaign.explore.witness import InvariantViolation, Witness
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
 from pcmrs_sim.deterministic.entropy import seeded_entropy
@@ -115,7 +117,7 @@ async def _run_script(script: SessionScript, path: Path, seconds: float) -> Expl
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
     async with simulated_cell(
-        settings_of(script.workflow, script.physics, script.seed),
+        settings_of(script.workflow, script.physics, script.seed, scene=script.scene),
         workflow,
         path,
         script.seed,
@@ -146,7 +148,8 @@ class ExploredSession:
         self._cell = cell
         self._script = script
         self._operators = Operators(cell, witness.answered, witness.watcher)
-        self.faults = Faults(cell, self._operators, witness)
+        self._detector = _detector(cell) if script.scene else None
+        self.faults = Faults(cell, self._operators, witness, self._detector)
         self._running_acts: dict[asyncio.Task[None], str] = {}
 
     async def run(self, seconds: float) -> None:
@@ -154,10 +157,11 @@ class ExploredSession:
         loop = asyncio.get_running_loop()
         violated = loop.create_task(self.witness.violated.wait())
         acting = loop.create_task(self._act_all(seconds))
+        watching = [] if self._detector is None else [loop.create_task(self._detector.run())]
         await asyncio.wait([violated, acting], return_when=asyncio.FIRST_COMPLETED)
-        for task in (violated, acting, *self._running_acts):
+        for task in (violated, acting, *watching, *self._running_acts):
             task.cancel()
-        await asyncio.gather(violated, *self._running_acts, return_exceptions=True)
+        await asyncio.gather(violated, *watching, *self._running_acts, return_exceptions=True)
         if acting.done() and not acting.cancelled():
             acting.result()
         await asyncio.gather(acting, return_exceptions=True)
@@ -248,6 +252,11 @@ class ExploredSession:
             return dict(msgspec.to_builtins(poses[turn % len(poses)]))
         landmarks = plan_of(self._script.workflow).landmarks
         return {"landmarks": msgspec.to_builtins(landmarks)}
+
+
+def _detector(cell: SimulatedCell) -> ScriptedDetector:
+    link, clock = cell.network.endpoint("detector"), SimulatedClock(asyncio.get_running_loop())
+    return ScriptedDetector(link.publish, clock, rate_hz=FRAME_RATE)
 
 
 def _unhandled(witness: Witness, context: dict[str, Any]) -> None:

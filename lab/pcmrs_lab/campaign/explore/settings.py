@@ -43,23 +43,34 @@ REAL_RATES = (f"robot.deadman={DEADMAN}",)
 """Settings with MuJoCo: all streams at the rates of a real cell."""
 
 
-def settings_of(workflow: str, physics: Physics, seed: int) -> Settings:
+WATCHED_SCENE = (
+    "scene_events.sources.camera={silent_after=1.0, rate_hz=50.0}",
+    'scene_events.rules=[{label="hand"}]',
+)
+"""Source and rule of a watched scene. Its frames are slow, too; see `FRAME_RATE`."""
+FRAME_RATE = 4.0
+"""Rate of the detector, Hz."""
+
+
+def settings_of(workflow: str, physics: Physics, seed: int, *, scene: bool = False) -> Settings:
     """Return the whole configuration of a session.
 
     Args:
         workflow: Name of the workflow.
         physics: Physics of the simulated arm.
         seed: Seed of the simulation.
+        scene: True if a detector watches the scene.
     """
-    common = _common(workflow, physics)
+    common = _common(workflow, physics, scene)
     return msgspec.structs.replace(common, sim=common.sim | {"seed": seed})
 
 
 @cache
-def _common(workflow: str, physics: Physics) -> Settings:
+def _common(workflow: str, physics: Physics, scene: bool) -> Settings:
     """Return the common configuration of all sessions; it is cached, since reading and checking it is slow."""
     rates = SLOWER if physics == "kinematic" else REAL_RATES
-    return read_settings(overrides=(f"workflow={workflow}", f"sim.arm.physics={physics}", *rates))
+    watched = WATCHED_SCENE if scene else ()
+    return read_settings(overrides=(f"workflow={workflow}", f"sim.arm.physics={physics}", *rates, *watched))
 
 
 @cache

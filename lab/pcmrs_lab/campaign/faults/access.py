@@ -502,7 +502,7 @@ async def _connection_end(open_cell: ReachableCell, *, with_certificate: bool) -
 
 
 async def send_forbidden(open_cell: ReachableCell, session: CountedSession, name: str, *, is_own: bool = False) -> None:
-    """Send commands, device calls, false poses and states under a name; under another's also Stop, set points, queries.
+    """Send commands, device calls, scene events, false poses and states; under another's name also Stop and set points.
 
     Args:
         open_cell: Cell that receives them.
@@ -513,7 +513,7 @@ async def send_forbidden(open_cell: ReachableCell, session: CountedSession, name
     prefix = f"pcmrs/lab/{open_cell.cell.name}"
     hold = msgspec.json.encode({"method": "hold", "arguments": {}})
     requests = {f"cmd/{name}/robot/connect": b"{}", f"cmd/{name}/lease/take_over": b"{}", "dev/robot/cmd": hold}
-    puts = {"state/fsm": b"{}", "state/pose/coil": b"{}", "dev/robot/beat": b"{}"}
+    puts = {"state/fsm": b"{}", "state/pose/coil": b"{}", "dev/robot/beat": b"{}", f"scene/{name}": b"{}"}
     if not is_own:
         check = msgspec.json.encode({"branch": "robot", "operation": "connect"})
         requests |= {f"stop/{name}": b"", f"svc/setup/{name}": b"", f"svc/check/{name}": check}

@@ -41,6 +41,7 @@ def test_a_difference_names_what_is_missing_and_what_is_new() -> None:
         ("pcmrs/lab/cell1/cmd/anna/robot/connect", tries.COMMANDS),
         ("stop/anna", tries.STOP),
         ("pcmrs/lab/cell1/teleop/tom", tries.SETPOINTS),
+        ("scene/camera1", tries.SCENE_EVENTS),
         ("svc/setup/anna", tries.QUERIES),
         ("daemon/beat", tries.DEVICES),
         ("state/pose/coil", tries.STREAMS),

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from pcmrs_lab.campaign.explore import generate
-from pcmrs_lab.campaign.explore.faults import FAULTS
-from pcmrs_lab.campaign.explore.generate import FEWEST, MOST, OPERATORS, draw_script
+from pcmrs_lab.campaign.explore.faults import DETECTOR, FAULTS
+from pcmrs_lab.campaign.explore.generate import FEWEST, MOST, MOST_EVENTS, OPERATORS, WATCHED, draw_script
 from pcmrs_lab.campaign.explore.plans import GARBAGE
 from pcmrs_lab.campaign.explore.script import SessionScript
 from tests.unit.lab.blueprints import ratms
@@ -61,7 +61,7 @@ def test_some_sessions_follow_the_head_and_the_others_stay(
 def test_people_mostly_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(generate, "AIMED", 0.0)
     scripts = [draw_script(ratms(), "ratms", seed) for seed in range(SESSIONS)]
-    assert all(FEWEST <= len(script.acts) <= MOST for script in scripts)
+    assert all(FEWEST <= len(script.acts) <= MOST + script.scene * MOST_EVENTS for script in scripts)
     acts = [act for script in scripts for act in script.acts]
     by_people = [act for act in acts if not act.what.startswith("fault:")]
     kinds = Counter(act.what for act in by_people)
@@ -75,4 +75,12 @@ def test_people_mostly_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_fault_does_not_hold_up_people(scripts: list[SessionScript]) -> None:
     for act in (act for script in scripts for act in script.acts if act.what.startswith("fault:")):
         assert not act.waits
-        assert ("lasts" in act.arguments) == (FAULTS[act.what.removeprefix("fault:")].end is not None)
+        assert ("lasts" in act.arguments) == ({**FAULTS, **DETECTOR}[act.what.removeprefix("fault:")].end is not None)
+
+
+def test_what_detectors_see_comes_up_in_watched_scenes_only(scripts: list[SessionScript]) -> None:
+    names = [(script.scene, act.what) for script in scripts for act in script.acts]
+    of_detectors = {f"fault:{name}" for name in DETECTOR}
+    assert {what for scene, what in names if what in of_detectors and scene} == of_detectors
+    assert not {what for scene, what in names if what in of_detectors and not scene}
+    assert 0.0 < sum(script.scene for script in scripts) / len(scripts) < 3 * WATCHED

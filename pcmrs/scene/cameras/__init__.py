@@ -1,0 +1,1 @@
+"""Depth cameras of the detector of the scene."""

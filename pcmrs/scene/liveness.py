@@ -1,0 +1,89 @@
+"""Liveness of a source of scene events: it sends new frames in time, not too many events, and can see the scene."""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+from pcmrs.bucket import TokenBucket
+from pcmrs.clock import Clock
+from pcmrs.messages.scene_event import BLIND, SceneEvent
+from pcmrs.scene.settings import SceneSourceSettings
+
+Loss = Literal["silent", "stale", "flooded", "blind"]
+"""Why a source is lost: it sends nothing; its frames are old or always the same; it sends too much; it says so."""
+
+NEVER: Final = float("-inf")
+
+
+class Liveness:
+    """Liveness of one source.
+
+    The clocks of a source and of this machine differ by an unknown offset. The smallest difference of arrival and
+    sending in a session stands for it, so that the delay of an event beyond the fastest one counts towards its age.
+
+    Args:
+        settings: Settings of the source.
+        clock: Clock of the machine.
+
+    Attributes:
+        lost: Why the source is lost; None while it is not.
+        blind: Reason of the newest report that the source cannot see.
+    """
+
+    def __init__(self, settings: SceneSourceSettings, clock: Clock) -> None:
+        self.settings = settings
+        self.lost: Loss | None = None
+        self.blind = ""
+        self._clock = clock
+        self._bucket = TokenBucket(settings.rate_hz, max(1, round(settings.rate_hz)), clock)
+        self._session: str | None = None
+        self._newest = self._offset = 0.0
+        now = clock.monotonic()
+        self._received = self._fresh = now
+        self._flooded = self._said_blind = NEVER
+        self._good_since: float | None = None
+
+    def take(self, event: SceneEvent) -> bool:
+        """Take an event of the source; return True if it is fresh, so that its content counts.
+
+        Args:
+            event: The event.
+        """
+        now, limit = self._clock.monotonic(), self.settings.silent_after
+        self._received = now
+        if not self._bucket.take():
+            self._flooded = now
+            return False
+        if event.session != self._session:
+            self._session, self._newest, self._offset = event.session, NEVER, now - event.sent
+        self._offset = min(self._offset, now - event.sent)
+        age = event.sent - event.captured + (now - event.sent - self._offset)
+        if event.captured > event.sent or age > limit or event.captured < self._newest:
+            return False
+        if event.label == BLIND:
+            self._said_blind, self.blind = now, event.reason
+        if event.captured > self._newest:
+            self._newest, self._fresh = event.captured, now
+        return now - self._fresh <= limit  # a frame that is sent again and again shows nothing new
+
+    def check(self) -> Loss | None:
+        """Update `lost`, and return it."""
+        now, settings = self._clock.monotonic(), self.settings
+        found = self._found(now)
+        if found is not None:
+            self.lost, self._good_since = found, None
+        elif self.lost is not None:
+            self._good_since = now if self._good_since is None else self._good_since
+            if now - self._good_since >= settings.returns_after:
+                self.lost = None
+        return self.lost
+
+    def _found(self, now: float) -> Loss | None:
+        limit = self.settings.silent_after
+        if now - self._flooded <= limit:
+            return "flooded"
+        if now - self._said_blind <= limit:
+            return "blind"
+        if now - self._received > limit:
+            return "silent"
+        return "stale" if now - self._fresh > limit else None

@@ -1,0 +1,59 @@
+"""A label is present once it was seen for long enough, and until it was not seen for a while."""
+
+from __future__ import annotations
+
+import pytest
+
+from pcmrs.messages import SceneEvent
+from pcmrs.scene.presence import Presence
+from pcmrs.scene.settings import SceneRuleSettings
+
+RULE = SceneRuleSettings(label="hand", least_confidence=0.6, hysteresis=0.2, lasts=0.2, gone_after=0.5)
+
+
+def seen(confidence: float = 0.9, track: int | None = None) -> SceneEvent:
+    return SceneEvent(
+        source="camera", label="hand", captured=1.0, sent=1.0, session="s", confidence=confidence, track=track
+    )
+
+
+def test_label_is_present_after_it_has_lasted() -> None:
+    presence = Presence(RULE)
+    begun = [presence.take(seen(track=number), now) for number, now in enumerate((0.0, 0.1, 0.2, 0.3))]
+    assert begun == [False, False, True, False], "it begins once, whatever its track"
+    assert presence.present
+
+
+def test_a_pause_longer_than_the_limit_begins_again() -> None:
+    presence = Presence(RULE)
+    assert [presence.take(seen(), now) for now in (0.0, 0.1, 0.7, 0.8, 0.9)] == [False] * 4 + [True]
+
+
+def test_single_frame_is_enough_if_nothing_must_last() -> None:
+    presence = Presence(SceneRuleSettings(label="hand"))
+    assert presence.take(seen(), 0.0)
+
+
+@pytest.mark.parametrize(("confidence", "counts"), [(0.59, False), (0.6, True)])
+def test_the_least_confidence_decides_at_first(confidence: float, counts: bool) -> None:
+    presence = Presence(SceneRuleSettings(label="hand", least_confidence=0.6))
+    assert presence.take(seen(confidence), 0.0) is counts
+
+
+@pytest.mark.parametrize(("confidence", "stays"), [(0.39, False), (0.4, True)])
+def test_less_confidence_keeps_a_label_present(confidence: float, stays: bool) -> None:
+    presence = Presence(SceneRuleSettings(label="hand", least_confidence=0.6, hysteresis=0.2, gone_after=0.5))
+    assert presence.take(seen(), 0.0)
+    presence.take(seen(confidence), 0.4)
+    presence.expire(0.8)
+    assert presence.present is stays
+
+
+def test_label_is_gone_only_after_the_limit() -> None:
+    presence = Presence(SceneRuleSettings(label="hand", gone_after=0.5))
+    presence.take(seen(), 0.0)
+    presence.expire(0.5)
+    assert presence.present
+    presence.expire(0.51)
+    assert not presence.present
+    assert presence.take(seen(), 0.6), "it is a new one when it is seen again"
