@@ -78,7 +78,7 @@ class DetectorSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SceneNode:
-    """Publishes what a detector sees.
+    """Publisher of what a detector sees.
 
     Args:
         publish: Publishes an event under a relative key.

@@ -32,7 +32,7 @@ class SceneView:
 
 
 class IntrusionDetector:
-    """Finds what is in the zones and is neither background, arm nor body.
+    """Detector of what is in the zones and is neither background, arm nor body.
 
     The background must be learned with nobody in the scene; the arm may stand anywhere, since its pixels are left out.
 

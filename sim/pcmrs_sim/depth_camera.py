@@ -77,7 +77,7 @@ class DepthImager:
 
 
 class SimulatedDepthCamera:
-    """Implements `pcmrs.scene.depth_frame.DepthCamera` with a model of the cell whose arm stands as the real one.
+    """Implementation of `pcmrs.scene.depth_frame.DepthCamera` with a model of the cell whose arm stands as the real one.
 
     Args:
         facts: Facts of the arm.

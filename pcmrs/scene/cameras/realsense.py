@@ -18,7 +18,7 @@ PATIENCE_MS = 1000
 
 
 class RealSenseCamera:
-    """Implements `pcmrs.scene.depth_frame.DepthCamera`; images are those of the depth stream, not aligned to colour.
+    """Implementation of `pcmrs.scene.depth_frame.DepthCamera`; images are those of the depth stream, not aligned to colour.
 
     Args:
         settings: Serial number, size and rate of the images.

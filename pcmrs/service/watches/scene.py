@@ -59,7 +59,7 @@ class _Source:
 
 
 class SceneWatch:
-    """Follows the sources of scene events; see docs/scene.md.
+    """Watch over the sources of scene events; see docs/scene.md.
 
     A label that calls Stop takes the lane of Stop at the event by which it becomes present, if a motion may run. While
     it is present, and while a source whose loss calls Stop is lost, no motion towards the patient begins, and one that
