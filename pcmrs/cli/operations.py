@@ -78,7 +78,7 @@ def _rows(shown: Snapshot, setup: Setup, only: str) -> Iterator[dict[str, Any]]:
 
 def _in_words(argument: ArgumentShown) -> str:
     """Return name, kind, unit, limits and default of an argument."""
-    kind = argument.kind if argument.kind != "other" else "JSON"
+    kind: str = argument.kind if argument.kind != "other" else "JSON"
     if argument.kind == "numbers":
         kind = f"{argument.count} numbers"
     elif argument.kind == "choice":

@@ -19,6 +19,7 @@ from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.phantoms import PHANTOMS
 from pcmrs_sim.settings import read_settings
 from pcmrs_sim.shape import Shape
+from pcmrs_sim.surfaces import SURFACES
 
 INTRINSICS: Final = Intrinsics(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
 """A quarter of the resolution of a usual depth camera, with its field of view."""
@@ -174,9 +175,19 @@ def scene_model(facts: ArmFacts, flange_from_tool: Transform, phantom: Phantom) 
     flange = spec.site("flange")
     link_from_tool = Transform.from_quat_wxyz(flange.pos, flange.quat) @ flange_from_tool
     tool = flange.parent.add_body(name="tool", pos=link_from_tool.translation, quat=link_from_tool.quat_wxyz)
-    _add(tool, phantom.tool, Transform.identity())
+    _add(tool, phantom.tool)
     world = spec.worldbody
-    _add(world, phantom.body, phantom.world_from_image)
+    vertices, faces = SURFACES[phantom]()
+    spec.add_mesh(name="body", uservert=vertices.ravel(), userface=faces.ravel())
+    pose = phantom.world_from_image
+    world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="body",
+        pos=pose.translation,
+        quat=pose.quat_wxyz,
+        contype=0,  # without contacts the compiler needs no convex hull
+        conaffinity=0,
+    )
     world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=BENCH[0], size=BENCH[1])
     world.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0.0, 0.0, FLOOR), size=(5.0, 5.0, 0.1))
     hand = world.add_body(name="hand", mocap=True, pos=AWAY)
@@ -186,13 +197,12 @@ def scene_model(facts: ArmFacts, flange_from_tool: Transform, phantom: Phantom) 
     return spec.compile()
 
 
-def _add(body: Any, shapes: Sequence[Shape], body_from_shapes: Transform) -> None:
+def _add(body: Any, shapes: Sequence[Shape]) -> None:
     for shape in shapes:
-        pose = body_from_shapes @ shape.pose
         body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}"),
-            pos=pose.translation,
-            quat=pose.quat_wxyz,
+            pos=shape.pose.translation,
+            quat=shape.pose.quat_wxyz,
             size=[*shape.size, 0.0, 0.0][:3],
             mass=max(shape.mass, 1e-3),
         )

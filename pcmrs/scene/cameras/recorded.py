@@ -37,7 +37,7 @@ def write_frames(path: Path, intrinsics: Intrinsics, frames: Sequence[DepthFrame
 
 
 class RecordedCamera:
-    """Implementation of `pcmrs.scene.depth_frame.DepthCamera` with the images of a file, at the pace of their recording.
+    """`pcmrs.scene.depth_frame.DepthCamera` with the images of a file, at the pace of their recording.
 
     Args:
         path: File that `write_frames` has written.
