@@ -78,7 +78,7 @@ class DepthImager:
 
 
 class SimulatedDepthCamera:
-    """Implementation of `pcmrs.scene.depth_frame.DepthCamera` with a model of the cell whose arm stands as the real one.
+    """`pcmrs.scene.depth_frame.DepthCamera` with a model of the cell whose arm stands as the real one.
 
     Args:
         facts: Facts of the arm.

@@ -18,7 +18,7 @@ PATIENCE_MS = 1000
 
 
 class RealSenseCamera:
-    """`pcmrs.scene.depth_frame.DepthCamera` of a RealSense; images are those of the depth stream, not aligned to colour.
+    """`pcmrs.scene.depth_frame.DepthCamera` of a RealSense; images of the depth stream, not aligned to colour.
 
     Args:
         settings: Serial number, size and rate of the images.
