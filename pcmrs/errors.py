@@ -8,6 +8,7 @@ __all__ = [
     "AccessError",
     "AlteredSegmentError",
     "ArchiveError",
+    "BackupError",
     "BlueprintError",
     "BusError",
     "CommandRefusedError",

@@ -77,7 +77,7 @@ def check_room(target: Path, needed: int) -> None:
     free = shutil.disk_usage(existing).free
     if needed > free:
         text = (
-            f"{target} needs {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free: make room, or give another disk."
+            f"{target} needs {needed / 1e6:.1f} MB, and {free / 1e6:.1f} MB are free: make room, or give another disk."
         )
         raise ConfigurationError(text, needed=needed, free=free)
 

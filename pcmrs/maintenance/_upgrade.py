@@ -93,12 +93,24 @@ def _make_upgraded(folder: Path, copy: Path, progress: Progress | None) -> None:
     copy_folder(folder, copy, link=RECORDINGS)
     failpoint("upgrade.after_copy")
     for journal in sorted(copy.glob(JOURNALS)):
-        # The writer adopts an older journal, as it does one of a crash: in one transaction, which a row reports.
-        JournalWriter(journal, durable=True, largest=LARGEST).close()
+        _adopt(journal)
         failpoint("upgrade.after_journal")
         _require_whole(journal, head_path(folder / journal.name), progress)
     write_format(copy)
     settle(copy)
+
+
+def _adopt(journal: Path) -> None:
+    """Open a journal for writing, which upgrades an older one in a transaction, with a row that reports it.
+
+    Raises:
+        JournalError: It cannot be written.
+    """
+    try:
+        JournalWriter(journal, durable=True, largest=LARGEST).close()
+    except JournalError as error:
+        text = f"{journal.name} cannot be upgraded, and the old folder is unchanged: {error.text}"
+        raise JournalError(text, **error.fields) from error
 
 
 def _require_whole(journal: Path, old_head: Path, progress: Progress | None) -> None:

@@ -126,6 +126,7 @@ def check_unchanged(lab: Lab, before: dict[str, bytes], failed: subprocess.Compl
     assert failed.returncode in (2, 4), failed.stdout
     assert "upgrade: " in failed.stderr
     assert "Traceback" not in failed.stderr
+    assert "acknowledged any more" not in failed.stderr or "the old folder is unchanged" in failed.stderr
     assert contents(lab.folder) == before
     upgrade(lab)
     assert check_folder(lab.cell).action == "use"
