@@ -277,7 +277,7 @@ async def test_new_plan_ends_the_work_and_no_hole_is_drilled_twice(femur: Workfl
     assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
     await drill(femur)
     await femur.accept("toolplan.plan_trajectory", **TRAJECTORY)
-    assert (femur.states["treatment"], femur.states["placement"]) == ("abandoned", "held")
+    assert (femur.states["treatment"], femur.states["placement"]) == ("abandoned", "replanned")
     await femur.accept("placement.back_off")
     await femur.accept("placement.home")
     await place(femur)

@@ -210,7 +210,7 @@ def test_a_plan_does_not_change_during_a_motion(
         if cell.client.running:
             return "busy"
         if cell.client.branches["placement"] == "standoff":
-            cell.client.branches["placement"] = "held"
+            cell.client.branches["placement"] = "replanned"
         return ""
 
     cell.client.refuses |= {"toolplan.plan": busy, "registration.plan_landmarks": busy}
