@@ -92,11 +92,11 @@ async def test_a_retreat_heeds_where_the_body_is_now(bench: WorkflowBench) -> No
     standoff = bench.cell.joints.positions
     await bench.accept("placement.home")
     bench.cell.initial_joints = standoff
-    await bench.scene.move_body((0.0, 5.0, 0.0))
+    await bench.scene.move_body((0.0, 0.9, 0.0))
     await bench.clock.sleep(0.5)
     await bench.accept("placement.to_initial")
     await bench.accept("placement.home")
-    await bench.scene.move_body((0.0, -5.0, 0.0))
+    await bench.scene.move_body((0.0, -0.9, 0.0))
     await bench.clock.sleep(0.5)
     await bench.refuse("placement.to_initial", "distance_shrinks")
 
@@ -110,7 +110,7 @@ async def test_retracted_means_clear_of_the_body(bench: WorkflowBench) -> None:
     assert distance_from_body(bench.cell, bench.data) > clearance
     await bench.accept("placement.approach")
     await bench.accept("toolplan.plan", **POSES[1])
-    assert bench.states["placement"] == "held"
+    assert bench.states["placement"] == "replanned"
     assert (await bench.accept("placement.back_off")).state == "retracted"
     assert distance_from_body(bench.cell, bench.data) > clearance
 

@@ -330,11 +330,11 @@ async def test_a_step_that_raises_leaves_the_state(bench: WorkflowBench) -> None
 
 async def test_a_pose_out_of_reach_is_refused(bench: WorkflowBench) -> None:
     await bench.register()
-    await bench.scene.inject("shift_body", {"millimetres": 1500.0})
+    await bench.scene.inject("shift_body", {"millimetres": 850.0})
     await bench.clock.sleep(1.0)
     await bench.refuse("placement.approach", "unreachable")
     await stands(bench)
-    await bench.scene.inject("shift_body", {"millimetres": -1500.0})
+    await bench.scene.inject("shift_body", {"millimetres": -850.0})
     await bench.clock.sleep(1.0)
     await bench.accept("placement.approach")
 
