@@ -19,7 +19,7 @@ WATCHED = (
 )
 """Settings of a cell whose workspace is watched. A busy machine may keep the detector from its images for some time."""
 COMMAND = (sys.executable, "-m", "pcmrs_lab.experiment.scene_detector")
-SEES_WITHIN = 30.0
+SEES_WITHIN = 90.0
 """Limit for the detector to start and to learn the background, s."""
 END_TIME = 5.0
 ASIDE = (0.3, 0.45, 0.3)
@@ -74,7 +74,7 @@ class SceneCamera:
                 while self.count(label) == before:  # noqa: ASYNC110 - a poll needs no second mechanism
                     await asyncio.sleep(0.02)
         except TimeoutError:
-            seen = sorted({event.label for _, event in self.events})
+            seen = sorted({event.reason or event.label for _, event in self.events})
             raise Unmet(f"The detector has not published {label} within {within:g} s, only {seen}.") from None
 
 
