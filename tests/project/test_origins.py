@@ -33,7 +33,9 @@ ROWS = rows()
 
 def test_every_default_has_an_origin() -> None:
     assert len(ROWS) > 300
-    assert [name for name, cells in ROWS if not (cells[1] == "needed" or _is_table(cells[0]) or cells[-1].strip())] == []
+    assert [
+        name for name, cells in ROWS if not (cells[1] == "needed" or _is_table(cells[0]) or cells[-1].strip())
+    ] == []
 
 
 def _is_table(kind: str) -> bool:
