@@ -36,7 +36,7 @@ class Tolerance:
 
     @classmethod
     def by_noise(cls, frames: Sequence[Transform], limits: PlacementSettings) -> Self:
-        """Return the tolerance for a tracker that is as noisy as in a measurement.
+        """Return the tolerance for a tracker that is as noisy as in a measurement, and for the arm's repeatability.
 
         A tighter one than the noise would be met by luck only, after many corrections.
 
@@ -46,7 +46,10 @@ class Tolerance:
         """
         noise_mm, noise_deg = noise(frames)
         return cls(
-            mm=max(limits.tolerance_mm, min(WIDEST_MM, limits.noise_factor * noise_mm)),
+            mm=max(
+                limits.tolerance_mm,
+                min(WIDEST_MM, math.hypot(limits.noise_factor * noise_mm, limits.repeatability_mm)),
+            ),
             deg=max(limits.tolerance_deg, min(WIDEST_DEG, limits.noise_factor * noise_deg)),
             noise_mm=noise_mm,
             noise_deg=noise_deg,

@@ -73,6 +73,7 @@ def data_sheet_settings(name: TrackerName, *, virtual: bool) -> list[str]:
         "sim.tracker.bias_mm": round(bias_mm, 4),
         "sim.tracker.bias_deg": round(_BIAS_DEG_PER_MM * bias_mm, 4),
         "sim.arm.repeatability_mm": ARM_REPEATABILITY_MM,
+        "procedure.placement.repeatability_mm": ARM_REPEATABILITY_MM,
     }
     if virtual:
         settings["ndi.latency"] = sheet.latency

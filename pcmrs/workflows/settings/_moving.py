@@ -58,6 +58,8 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         tolerance_deg: Measured angle within which the tool is at its target, deg, with such a tracker.
         noise_factor: Multiple of the tracker's noise at rest within which the tool is at its target, too, up to 0.5 mm
             and 0.2°. With 0, only `tolerance_mm` and `tolerance_deg` count.
+        repeatability_mm: Pose repeatability of the arm by its data sheet (ISO 9283), mm: no correction is more exact.
+            It adds to the noise, as independent errors do.
         corrections: Greatest number of corrections of the command.
         correction_limit_mm: Largest plausible correction of the command, mm.
         correction_limit_deg: Largest plausible rotation of a correction, deg.
@@ -79,6 +81,7 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     tolerance_mm: Positive = 0.08
     tolerance_deg: Positive = 0.03
     noise_factor: NotNegative = 2.0
+    repeatability_mm: NotNegative = 0.0
     corrections: Annotated[int, msgspec.Meta(ge=1)] = 3
     correction_limit_mm: Positive = 5.0
     correction_limit_deg: Positive = 2.0

@@ -92,7 +92,7 @@ async def test_a_head_that_keeps_moving_is_refused_with_all_rounds() -> None:
 
 
 async def test_a_noisy_tracker_widens_the_tolerance_and_says_so() -> None:
-    noisy = {"tracker": {"jitter_mm": 0.06, "jitter_deg": 0.1}}
+    noisy = {"tracker": {"jitter_mm": 0.04}}
     async with open_bench(FINE, sim=noisy) as bench:
         placed = await bench.to_placed()
     assert placed.result is not None

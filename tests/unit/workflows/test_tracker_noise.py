@@ -58,6 +58,11 @@ def test_however_noisy_the_tolerance_has_an_upper_bound() -> None:
     assert (seen.mm, seen.deg) == (0.5, 0.2)
 
 
+def test_repeatability_of_the_arm_adds_to_the_noise() -> None:
+    seen = Tolerance.by_noise(frames(np.random.default_rng(8), 0.25), PlacementSettings(repeatability_mm=0.15))
+    assert seen.mm == pytest.approx(np.hypot(2.0 * seen.noise_mm, 0.15))
+
+
 def test_noise_can_be_left_out_of_the_tolerance() -> None:
     alone = PlacementSettings(noise_factor=0.0)
     seen = Tolerance.by_noise(frames(np.random.default_rng(6), 5.0, 5.0), alone)
