@@ -288,7 +288,12 @@ def test_unknown_bone_state_allows_planning_but_no_motion() -> None:
     engine = ENGINE
     engine.place({**PLACED, "placement": "held", "treatment": "unknown"})
     denied = {name for name in PLANNING if isinstance(engine.ask(*name.split(".")), Denial)}
-    assert denied == {"registration.reinit", "toolplan.reinit", "digitization.digitize_one"}
+    assert denied == {
+        "registration.reinit",
+        "toolplan.reinit",
+        "digitization.digitize_one",
+        "digitization.reuse_previous_of",
+    }
     for name in ("placement.back_off", *LEAVING):
         answer = engine.ask(*name.split("."))
         assert isinstance(answer, Denial)
