@@ -57,7 +57,7 @@ async def test_changed_workflow_needs_a_migration_to_reuse_a_journal(tmp_path: P
     refused = run_pcmrs("serve", *as_words(settings))
     assert refused.returncode == 4, refused.stderr
     assert "Traceback" not in refused.stderr
-    for word in ("ratms 1.3.0", str(workflow), "pcmrs fsm diff", "[[migrations]]", "cell.folder"):
+    for word in ("ratms 1.4.0", str(workflow), "pcmrs fsm diff", "[[migrations]]", "cell.folder"):
         assert word in refused.stderr
     table = refused.stderr[refused.stderr.index("[[migrations]]") :].split("\n\n")[0]
     workflow.write_text(f"{changed}\n{table}\n")

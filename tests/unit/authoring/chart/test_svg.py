@@ -51,7 +51,7 @@ def test_the_same_chart_each_time_and_nothing_from_outside() -> None:
 
 def test_the_chart_names_itself_for_those_who_do_not_see_it() -> None:
     root = reading.parse(svg(shipped_blueprint("ratms"), {"robot": "1"}))
-    assert root.findtext(f"{reading.SVG}title") == "Robotic transcranial magnetic stimulation (ratms 1.3.0)"
+    assert root.findtext(f"{reading.SVG}title") == "Robotic transcranial magnetic stimulation (ratms 1.4.0)"
     described = root.findtext(f"{reading.SVG}desc") or ""
     assert "digitization (level 2, refines registration): 0, 1" in described
     assert described.endswith("Highlighted: robot 1.")
