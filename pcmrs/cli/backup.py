@@ -36,7 +36,7 @@ def backup(target: Path, no_recordings: bool, as_json: bool, file: Path | None, 
     calibrations, register, workflow, arm. It has no other key, and no token. It has patients' data: keep it as safe as
     the cell. Write down the line with the last row elsewhere: it shows later whether a journal was set back.
 
-    Exit status: 0 copied, 2 a journal or the disk failed, 4 the target exists, or there is no such cell.
+    Exit status: 0 copied, 5 a journal or the disk failed, 4 the target exists, or there is no such cell.
 
     Example: pcmrs backup /mnt/backup/cell1-monday --config /etc/pcmrs/cell.toml
     """
@@ -71,7 +71,7 @@ def restore(backup: Path, folder: Path, as_json: bool) -> None:
     cell did after the backup is not known. Then set `cell.folder` to FOLDER, and start the daemon. Do not let two
     cells continue the same journal.
 
-    Exit status: 0 restored, 2 the backup or the disk failed, 4 the folder is in use, or a later version is needed.
+    Exit status: 0 restored, 5 the backup or the disk failed, 4 the folder is in use, or a later version is needed.
 
     Example: pcmrs restore /mnt/backup/cell1-monday ~/.local/state/pcmrs/lab-cell1
     """

@@ -67,7 +67,7 @@ def take(over: bool, as_json: bool, address: CellAddress) -> None:
 def hold(over: bool, address: CellAddress) -> None:
     """Hold the cell until interrupted, and release it then.
 
-    Exit status: 0 released, 1 refused, 2 lost in between, 3 no daemon.
+    Exit status: 0 released, 1 refused, 5 lost in between, 3 no daemon.
 
     Example: pcmrs lease hold --endpoint tls/router.example.org:7449 --identity anna
     """

@@ -39,7 +39,7 @@ def scene(file: Path | None, overrides: tuple[str, ...], record: Path | None, fr
     background. What the cell does about an event is in its table scene_events. On Ctrl-C a summary is printed, with
     the latency from image to event.
 
-    Exit status: 0 ended, 2 the camera or its images cannot be used, 3 no daemon, 4 bad configuration.
+    Exit status: 0 ended, 5 the camera or its images cannot be used, 3 no daemon, 4 bad configuration.
 
     Example: pcmrs scene --config lab.toml
     """

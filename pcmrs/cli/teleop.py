@@ -101,7 +101,7 @@ def teleop(
     away from the body. The cell limits its speed, the more so the later the set points arrive, and holds the tool if
     they no longer arrive: then someone at the cell decides how to continue.
 
-    Exit status: 0 left, 1 not allowed, 2 ended by the cell or its silence, 3 no daemon.
+    Exit status: 0 left, 1 not allowed, 5 ended by the cell or its silence, 3 no daemon.
     """
     if (device == "script") != (script is not None):
         raise click.UsageError("--device script and --script FILE need each other.")

@@ -54,7 +54,7 @@ def test_a_restored_cell_is_reported_with_what_is_needed(tmp_path: Path) -> None
     assert run("journal", "verify", str(tmp_path / "restored" / "ratms.sqlite")).exit_code == 0
 
 
-def test_a_changed_backup_has_status_2(tmp_path: Path) -> None:
+def test_a_changed_backup_has_status_5(tmp_path: Path) -> None:
     present = unpacked("format-2", tmp_path)
     assert run(*backup(present, tmp_path / "copy")).exit_code == 0
     (tmp_path / "copy" / "journal.pub").write_text("other")

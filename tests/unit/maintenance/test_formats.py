@@ -58,7 +58,7 @@ def test_configuration_and_register_of_each_version_are_read(version: str, tmp_p
     assert [(file.text, file.action) for file in check_named_files(files)] == [("", "use")] * 3
 
 
-def test_the_first_calibration_of_a_tool_is_refused_with_the_remedy(first: Lab) -> None:
+def test_a_tool_calibration_of_the_first_version_is_refused(first: Lab) -> None:
     """It took the marker body for the contact point."""
     (found,) = check_named_files([("calibration", first.folder / "tool.toml", read_calibration)])
     assert found.action == "refuse"
@@ -128,13 +128,13 @@ def test_a_cut_recording_refuses_no_folder(first: Lab) -> None:
     assert check_folder(first.cell).action == "upgrade"
 
 
-def test_rows_of_version_2_that_the_head_does_not_name_are_refused(version_2_behind: Lab) -> None:
+def test_rows_of_version_2_that_no_head_names_are_refused(version_2_behind: Lab) -> None:
     (refused,) = check_folder(version_2_behind.cell).refused
     assert "1 rows after the last one that its signed head names" in refused.text
     assert "Start the version of PCMRS that wrote them once" in refused.text
 
 
-def test_a_journal_of_an_unknown_blueprint_is_refused_with_the_table(present: Lab, tmp_path: Path) -> None:
+def test_a_journal_of_an_unknown_blueprint_names_the_migration(present: Lab, tmp_path: Path) -> None:
     changed = tmp_path / "ratms.toml"
     text = find_workflow("ratms").blueprint.read_text()
     changed.write_text(text.replace('title = "Robotic', 'title = "Another robotic'))
