@@ -141,7 +141,7 @@ COMMANDS = {
 """Commands with the first sentences of their help texts, which are also in their modules."""
 
 SECTIONS = {
-    "Run a cell": ("serve", "console", "router", "ros2", "doctor"),
+    "Run a cell": ("serve", "console", "router", "ros2", "scene", "doctor"),
     "Command and watch it": (
         "call",
         "next",

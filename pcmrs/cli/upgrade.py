@@ -53,7 +53,7 @@ def upgrade(folder: Path, check: bool, file: Path | None, as_json: bool) -> None
     is kept as FOLDER.before-TIME. If it is interrupted, run it again: until that step, FOLDER is unchanged.
 
     Exit status: 0 done, or nothing to do; with --check, this version uses the folder now or after the upgrade; 1 with
-    --check, it refuses the folder; 2 a journal or the disk failed; 4 it refuses the folder, or a daemon runs.
+    --check, it refuses the folder; 5 a journal or the disk failed; 4 it refuses the folder, or a daemon runs.
 
     Example: pcmrs upgrade --check ~/.local/state/pcmrs/lab-cell1
     """

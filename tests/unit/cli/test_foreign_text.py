@@ -144,7 +144,7 @@ PRINTED: dict[str, Callable[[str], None]] = {
         lambda: files.fail_with_findings([Finding(code="x", text=text, commands=(text,))], readable=True)
     ),
     "fsm simulate": lambda text: simulate._show(
-        cast(Any, SimpleNamespace(command=text, decision="rejected", lines=lambda: [text]))
+        cast(Any, SimpleNamespace(command=text, decision="rejected", by=text, at=0.0, lines=lambda: [text]))
     ),
     "health": lambda text: print_table(health_table(report(replace(WELL, metrics=f"x{text}")))),
     "journal": journal_row,

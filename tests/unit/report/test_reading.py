@@ -64,7 +64,7 @@ def test_one_session_is_reported_without_any_other_patient(tmp_path: Path) -> No
     assert "The journal has no orderly end of this session." in page.words
     assert second not in page.words
     status, _, err = run(journal, "-o", tmp_path / "none.html", "--session", "nobody")
-    assert (status, (tmp_path / "none.html").exists()) == (2, False)
+    assert (status, (tmp_path / "none.html").exists()) == (5, False)
     assert second in err
 
 

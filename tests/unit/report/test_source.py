@@ -62,6 +62,6 @@ def test_unreadable_source_is_an_error_and_nothing_is_written(tmp_path: Path) ->
         write_journal(golden_rows("ratms")[:2], two / f"{number}.sqlite")
     for source, said in ((journal, "row 1"), (text, "text"), (empty, "no journal"), (two, "name one")):
         status, out, err = run(source, "-o", tmp_path / "page.html")
-        assert (status, out, len(err.splitlines())) == (2, "", 1), err
+        assert (status, out, len(err.splitlines())) == (5, "", 1), err
         assert said in err
     assert not (tmp_path / "page.html").exists()

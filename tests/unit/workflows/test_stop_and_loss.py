@@ -117,7 +117,7 @@ async def test_a_plan_is_not_changed_under_a_motion(bench: WorkflowBench) -> Non
 
 async def test_backing_off_leads_home_if_a_joint_limit_cuts_it_short() -> None:
     """Joint 6 is a hundredth of a radian before its limit, and the straight way back would turn it farther."""
-    at_limit = {"arm": {"home": [0.035, -0.194, -0.017, -0.74, -0.014, 2.085, -1.561]}}
+    at_limit = {"arm": {"home": [-0.264, -0.875, -0.094, -1.749, -0.079, 2.084, -1.042]}}
     async with open_bench(sim=at_limit) as bench:
         truth = await bench.scene.truth()
         coil, body = as_transform(truth.tracker_from_coil), as_transform(truth.tracker_from_body_ref)

@@ -77,6 +77,7 @@ def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
     inwards = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw) @ np.array([0.0, 0.0, -DEPTH])
     return {
         "landmarks": {"landmarks": msgspec.to_builtins(plan.landmarks)},
+        "landmark_names": [{"names": [plan.landmarks[0].name]}],
         "landmark_index": [{"index": index} for index in range(len(plan.landmarks))],
         "surface_points": {"points": ENOUGH_POINTS},
         "surface_name": {},

@@ -91,6 +91,6 @@ def test_every_command_sequence_of_a_mutant_can_be_followed(name: str) -> None:
     found = verify(mutant).findings
     assert bool(found) == (name in UNSOUND)
     for finding in found:
-        if finding.code != "unreachable_state":  # to a state that nothing leads to, no commands lead either
+        if finding.code not in ("unreachable_state", "vacuous_property"):  # what never holds, no commands lead to
             assert finding.commands is not None
             follow_commands(mutant, finding.commands)
