@@ -39,6 +39,7 @@
     if (button !== null && isPress(event) && !event.repeat) begin(button);
   }, true);
   addEventListener("keyup", (event) => { if (isPress(event)) end(); }, true);
-  for (const name of ["pointerup", "pointercancel", "blur", "visibilitychange"]) addEventListener(name, end, true);
+  for (const name of ["pointerup", "pointercancel", "visibilitychange"]) addEventListener(name, end, true);
+  addEventListener("blur", end);  // of the window: buttons lose the focus as they are pressed
   addEventListener("contextmenu", (event) => { if (buttonOf(event) !== null) event.preventDefault(); }, true);
 })();
