@@ -75,7 +75,7 @@ def test_state_without_a_way_back_costs_a_restart() -> None:
 
 def test_a_workflow_with_too_many_joint_states_is_refused() -> None:
     with pytest.raises(BlueprintError, match="over 33 joint states"):
-        plan_tour(RATMS, limit=34)
+        plan_tour(RATMS, limit=33)
     assert plan_tour(RATMS, limit=40).wanted
 
 
