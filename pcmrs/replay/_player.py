@@ -133,7 +133,8 @@ class JournalPlayer:
         found = []
         for name in running_operations(self._rows[index]):
             later = range(index + 1, min(index + WINDOW, len(self._rows)))
-            first = next((each for each in later if name_of(self._rows[each]) == name), None)
+            of_name = (each for each in later if name_of(self._rows[each]) == name)
+            first = next((each for each in of_name if not running_operations(self._rows[each])), None)
             if first is not None and self._is_new(self._rows[first]) and not self._is_running(name):
                 found.append(first)
         return found

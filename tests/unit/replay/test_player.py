@@ -26,7 +26,9 @@ def played(rows: list[StoredRow], see: Callable[[JournalPlayer, int], Awaitable[
     async def play() -> JournalPlayer:
         assert RUN.settings is not None
         cell = ReplayCell(msgspec.convert(RUN.settings["procedure"], ProcedureSettings), RUN.calibration)
-        player = JournalPlayer(CarryOver().with_state(open_installed("ratms")), cell, rows, lease_required=False)
+        before = CarryOver()
+        player = JournalPlayer(before.with_state(open_installed("ratms")), cell, rows, lease_required=False)
+        before.restore(player.dispatcher, RUN)  # Stops are numbered by the run
         for index in range(len(rows)):
             await player.feed(index)
             await see(player, index)
