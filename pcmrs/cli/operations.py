@@ -36,15 +36,15 @@ def operations(branch: str, as_json: bool, address: CellAddress) -> None:
     if as_json:
         say_json(found)
         return
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    from pcmrs.cli.tables import Terminal
+    from pcmrs.cli.tables import print_table, styled
 
-    table = Table("operation", "arguments", "allowed now")
+    table = Table(Column("operation", no_wrap=True), "arguments", "allowed now")
     for row in found:
-        arguments = "\n".join(map(_in_words, row["arguments"]))
+        arguments = styled(*map(_in_words, row["arguments"]))
         table.add_row(row["operation"], arguments, "yes" if row["allowed"] else row["why_not"])
-    Terminal().print(table)
+    print_table(table)
 
 
 async def _asked(address: CellAddress) -> tuple[Snapshot, Setup]:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import degrees
 from typing import Any, Final
 
 UNITS: Final = {"mm": "mm", "deg": "°", "s": "s", "n": "N", "hz": "Hz", "percent": "%"}
 """Ending of a name, after an underscore, to the unit in which its value is given."""
 LENGTHS: Final = frozenset(
     {"clearance", "confirm_offset", "depth", "distance", "distances", "length", "limit", "offset", "position"}
-    | {"residual", "rms", "shift", "spread", "spreads", "standoff", "tre", "travel"}
+    | {"residual", "rms", "shift", "spread", "spreads", "standoff", "translation_error"}
+    | {"tre", "travel"}
 )
 """Names of results in m."""
-FORCES: Final = frozenset({"force", "peak_force"})
+FORCES: Final = frozenset({"asked", "force", "peak_force"})
 """Names of results in N."""
+ANGLES: Final = frozenset({"rotation_error"})
+"""Names of results in rad."""
 
 
 def readable(result: Mapping[str, Any]) -> str:
@@ -46,7 +50,9 @@ def _scaled(name: str) -> tuple[float, str]:
         return 1000.0, "mm"
     if name in FORCES:
         return 1.0, "N"
-    return 1.0, UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
+    if name in ANGLES:
+        return degrees(1.0), "°"
+    return 1.0, UNITS.get(name.rpartition("_")[2], "")
 
 
 def _spaced(unit: str) -> str:

@@ -189,4 +189,4 @@ class Server:
         end = self._machine.monotonic() + REST_TIME
         while "robot" in self._served and cell.robot.moving and self._machine.monotonic() < end:
             await self._machine.sleep(REST_POLL_PERIOD)
-        log.debug("simulated_cell_ends", moving=cell.robot.moving)
+        log.info("simulated_cell_ends", moving=cell.robot.moving)

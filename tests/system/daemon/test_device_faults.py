@@ -138,7 +138,7 @@ def test_daemon_with_a_tool_that_was_not_agreed_does_not_start(tmp_path: Path) -
     tracker = ("tracker.driver=ndi", _ndi(), f"ndi.tools.coil={tool}", "ndi.sha256.coil=00ff")
     settings = [*own_settings(tmp_path), "cell.rate=1", *tracker]
     refused = run_pcmrs("serve", *(word for setting in settings for word in ("--set", setting)))
-    assert refused.returncode == 2
+    assert refused.returncode == 5
     assert "is not the agreed tool definition" in refused.stderr
     assert "Check which tool is mounted" in refused.stderr
     assert "The node of tracker ended while it started" in refused.stderr

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from pcmrs.testing.daemon import own_settings, running_daemon
 from pcmrs.testing.networks import ADDRESSES, NEEDS, Machine, Namespaces, lan
+from pcmrs.testing.plan import example_plan, read_plan
 from tests import ROOT
 from tests.unit.gateway.signed_room import peer
 
@@ -43,6 +46,15 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
 """Logs poses, first unsigned, then signed, and asks for a motion; prints all answers."""
 
 
+LANDMARKS = [msgspec.to_builtins(each) for each in read_plan(example_plan("ratms")).landmarks]
+REGISTERED = (
+    ("registration.plan_landmarks", json.dumps({"landmarks": LANDMARKS})),
+    ("digitization.digitize_all", "{}"),
+    ("registration.register", "{}"),
+)
+"""What makes a registration, without which no pose is logged."""
+
+
 @pytest.fixture
 def machines() -> Iterator[Namespaces[Machine]]:
     with lan() as made:
@@ -61,6 +73,11 @@ async def test_remote_recorder_works_beside_a_local_slicer(machines: Namespaces[
         planner, mep = daemon.ready.links["planner"], daemon.ready.links["mep"]
         assert (planner[0], mep[0]) == ("127.0.0.1", ADDRESSES["cell"])
         ask = (sys.executable, "-c", UNSIGNED, planner[0], str(planner[1]), "rob_conn_onxxxxx_#7;")
+        ready = ("--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", daemon.cell)
+        for operation, arguments in REGISTERED:
+            call = (sys.executable, "-m", "pcmrs.cli", "call", operation, arguments, *ready)
+            called = await asyncio.to_thread(machines.run, "cell", *call, timeout=60.0)
+            assert called.stdout.startswith("accepted"), called.stderr
         slicer = await asyncio.to_thread(machines.run, "cell", *ask, timeout=30.0)
         assert slicer.stdout.startswith("7_accepted"), slicer.stderr
         record = (sys.executable, "-c", RECORDER, mep[0], str(mep[1]), str(tmp_path / "recorder.key"))

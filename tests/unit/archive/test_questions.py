@@ -106,7 +106,11 @@ def test_a_recorded_journal_is_asked(store: ArchiveStore, tmp_path: Path) -> Non
     path = write_journal(golden_rows("ratms"), tmp_path / "cell" / "ratms.sqlite")
     add_journal(store, path)
     stops = asked(store, "stops")
-    assert [each["sequence"] for each in stops] == [13, 14, 49, 58, 68, 69]
-    assert [each["what"] for each in stops if each["what"]] == ["digitization.digitize_all", "placement.approach"]
+    assert [each["sequence"] for each in stops] == [13, 63, 73]
+    assert [each["what"] for each in stops if each["what"]] == [
+        "digitization.digitize_all",
+        "placement.home",
+        "placement.approach",
+    ]
     (errors,) = asked(store, "errors-by-site")
     assert errors["placements"] == 1

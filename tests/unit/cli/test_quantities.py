@@ -23,7 +23,12 @@ from pcmrs.cli.quantities import readable
         ({"position": [0.11913, 0.0, -0.0247]}, "position (119.13, 0.00, -24.70) mm"),
         ({"gates": [{"name": "wrong_unit"}, {"name": "order"}]}, "gates (2)"),
         ({"intensity": 50.0}, "intensity 50.00"),
-        ({"force": 3.0}, "force 3.00 N"),
+        ({"force": 3.0, "asked": 3.0}, "force 3.00 N, asked 3.00 N"),
+        (
+            {"translation_error": 5.63e-05, "rotation_error": 0.000274},
+            "translation_error 0.06 mm, rotation_error 0.02°",
+        ),
+        ({"tolerance": {"mm": 0.08, "noise_deg": 0.00346}}, "tolerance (mm 0.08 mm, noise_deg 0.00346°)"),
         ({}, ""),
     ],
 )

@@ -99,7 +99,7 @@ async def test_a_tip_held_still_is_a_touch_after_the_dwell_time(hand: Hand) -> N
     assert hand.done
 
 
-async def test_a_tip_that_rests_at_the_first_prompt_counts_after_a_fresh_dwell(hand: Hand) -> None:
+async def test_a_resting_tip_counts_at_the_first_prompt(hand: Hand) -> None:
     await hand.rest(NASION, 5.0)
     await hand.ask()
     await hand.rest(NASION, SETTINGS.time - 2 * PERIOD)
@@ -108,7 +108,7 @@ async def test_a_tip_that_rests_at_the_first_prompt_counts_after_a_fresh_dwell(h
     assert hand.done
 
 
-async def test_the_same_landmark_is_touched_again_without_lifting_the_tip(hand: Hand) -> None:
+async def test_a_landmark_is_touched_again_without_lifting_the_tip(hand: Hand) -> None:
     await hand.ask()
     await hand.rest(NASION, 1.0)
     assert hand.done
@@ -166,7 +166,7 @@ async def test_the_same_place_is_touched_again_after_lifting_the_tip(hand: Hand)
     assert hand.done
 
 
-async def test_hidden_tip_that_reappears_at_the_last_landmark_is_no_other_one(hand: Hand) -> None:
+async def test_a_tip_that_reappears_at_the_last_landmark_is_no_other(hand: Hand) -> None:
     await hand.ask()
     await hand.rest(NASION, 1.0)
     await hand.ask(OTHER)

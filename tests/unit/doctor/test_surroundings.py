@@ -89,7 +89,7 @@ def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:
     assert "not an identity" in only(certificates(wrong), "certificates").found
 
 
-def test_cost_of_an_arm_that_cannot_be_stopped_on_its_way_is_named(tmp_path: Path) -> None:
+def test_cost_of_an_arm_that_moves_in_segments_is_named(tmp_path: Path) -> None:
     others = ["tracker.driver=none", "robot.driver=kst"]
     assert only(motion(settings(tmp_path)), "motion").verdict == "good"
     assert only(motion(settings(tmp_path, *others)), "motion").verdict == "good"

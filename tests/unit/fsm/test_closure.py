@@ -198,7 +198,7 @@ def test_an_outcome_may_divert_a_revocation(placement: str) -> None:
     assert closure.writes >= {"toolplan", "placement"}
 
 
-def test_a_diverted_revocation_changes_nothing_where_nothing_is_revoked() -> None:
+def test_a_diverted_revocation_of_nothing_changes_nothing() -> None:
     joint: Joint = ("111", "1", "1", "1", "retracted", "0", "off")
     closure = close(RATMS, as_dict(joint), "toolplan", "plan")
     assert isinstance(closure, Closure)

@@ -32,9 +32,9 @@ def forget_key(journal: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "rows", "said"),
     [
-        (cut, 125, "6 acknowledged rows are lost"),
+        (cut, 125, "10 acknowledged rows are lost"),
         (lambda journal: turn_bit(journal, 60), 59, "row 60"),
-        (forget_key, 131, "journal.pub is not the public key"),
+        (forget_key, 135, "journal.pub is not the public key"),
     ],
     ids=["rows cut off", "a bit", "no key"],
 )

@@ -63,7 +63,7 @@ async def test_a_landmark_that_nobody_touches_is_refused_in_time(
     assert released, "the pointer asks nobody any more"
 
 
-async def test_the_landmark_and_its_number_are_shown_until_it_is_touched(bench: WorkflowBench) -> None:
+async def test_landmark_and_number_are_shown_until_it_is_touched(bench: WorkflowBench) -> None:
     await _plan(bench)
     beeps: list[int] = []
     bench.cell.beep = beeps.append

@@ -151,7 +151,7 @@ async def test_full_disk_ends_the_recording_and_is_journalled(daemon: ServeProce
     file = tmp_path / "run.mcap"
     command = ["record", str(file), "--keep-free", "1000000GB", *as_words(daemon.settings)]
     ended = await asyncio.to_thread(run_pcmrs, *command)
-    assert ended.returncode == 2
+    assert ended.returncode == 5
     assert "kept for the journal" in ended.stdout
 
     def journalled() -> bool:
@@ -175,7 +175,7 @@ def test_bad_calls_are_refused_before_anything_is_made(tmp_path: Path) -> None:
     assert pcmrs("record", new, "--set", "cell.endpoint=tcp/127.0.0.1:1").exit_code == 3
     assert pcmrs("record", new, "--max-size", "12 apples").exit_code == 2
     assert pcmrs("record", new, "--max-total", "1GB").exit_code == 2
-    assert pcmrs("play", str(there)).exit_code == 2
+    assert pcmrs("play", str(there)).exit_code == 5
     assert pcmrs("play", str(there), "--from", "3", "--to", "2").exit_code == 2
     assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
 
@@ -233,7 +233,7 @@ async def test_session_is_recorded_although_its_recorder_is_killed(
         assert next(copy.read(kind="config", last=1)).row.session_id == told["session"]
     assert read_settings(out / "configuration.toml") == read_settings(None, settings)
     assert pcmrs("export-session", "-o", str(out), *words).exit_code == 4
-    assert pcmrs("export-session", "-o", str(tmp_path / "o"), "--session", "none", *words).exit_code == 2
+    assert pcmrs("export-session", "-o", str(tmp_path / "o"), "--session", "none", *words).exit_code == 5
     assert not (tmp_path / "o").exists()
 
 

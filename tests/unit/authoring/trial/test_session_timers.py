@@ -40,7 +40,7 @@ def test_a_tool_that_is_left_alone_is_held(walk: SimulationSession) -> None:
     assert walk.steps[-1].timers == {}
 
 
-def test_an_operation_that_restarts_a_timer_gives_it_its_whole_time(walk: SimulationSession) -> None:
+def test_a_restarted_timer_gets_its_whole_time(walk: SimulationSession) -> None:
     walk.ask("tool.place")
     walk.wait(500)
     assert walk.ask("tool.nudge").timers == {"tool.idle": 600.0}

@@ -40,7 +40,7 @@ def _scatter_mm(tracker: dict[str, float]) -> float:
     return 1e3 * float(np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))))
 
 
-def test_without_its_driver_a_tracker_has_no_latency_to_configure() -> None:
+def test_without_its_driver_a_tracker_has_no_latency_setting() -> None:
     assert not any(each.startswith("ndi.") for each in data_sheet_settings("vicra", virtual=False))
 
 
