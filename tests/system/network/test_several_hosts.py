@@ -73,7 +73,8 @@ async def test_remote_recorder_works_beside_a_local_slicer(machines: Namespaces[
         planner, mep = daemon.ready.links["planner"], daemon.ready.links["mep"]
         assert (planner[0], mep[0]) == ("127.0.0.1", ADDRESSES["cell"])
         ask = (sys.executable, "-c", UNSIGNED, planner[0], str(planner[1]), "rob_conn_onxxxxx_#7;")
-        ready = ("--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", daemon.cell)
+        _, site, cell = daemon.ready.prefix.split("/")
+        ready = ("--endpoint", daemon.ready.endpoint, "--site", site, "--cell", cell)
         for operation, arguments in REGISTERED:
             call = (sys.executable, "-m", "pcmrs.cli", "call", operation, arguments, *ready)
             called = await asyncio.to_thread(machines.run, "cell", *call, timeout=60.0)

@@ -61,7 +61,7 @@ def verdict(decision: Any, **more: Any) -> Verdict:
 def test_a_verdict_is_one_line_with_state_reason_and_result() -> None:
     refused = verdict("rejected", reason=Reason(code="busy", text="It moves."))
     assert event_line(refused) == "rejected: robot.connect, robot is in 0: busy: It moves."
-    assert event_line(verdict("accepted", result={"mm": 1})) == "accepted: robot.connect, robot is in 0: mm 1"
+    assert event_line(verdict("accepted", result={"points": 1})) == "accepted: robot.connect, robot is in 0: points 1"
 
 
 def test_a_snapshot_is_one_line_with_all_that_needs_attention() -> None:
