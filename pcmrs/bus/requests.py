@@ -17,6 +17,8 @@ from pcmrs.bus.seal import Kind, ReplayWindow, Seal
 from pcmrs.bus.serving import attached_to, payload_of
 from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError
 
+_TIMEOUT: Final = b"Timeout"
+"""Payload of the error with which Zenoh itself ends a query at its limit."""
 TO_ALL_SERVERS: Final[dict[str, Any]] = {
     # By default Zenoh sends a query to one server of the key and merges replies on one key into the last one.
     "target": zenoh.QueryTarget.ALL,
@@ -80,6 +82,8 @@ async def send_query(
             answered.set_result(outcome)
 
     def on_reply(reply: zenoh.Reply) -> None:
+        if reply.err is not None and reply.err.payload.to_bytes() == _TIMEOUT:
+            return  # of the bus itself; `on_end` follows
         try:
             outcome = _outcome(reply) if check is None else _checked_outcome(reply, check, key, attachment)
         except SealError as error:

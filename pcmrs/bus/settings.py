@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any, Final, Literal
 
 import msgspec
@@ -188,8 +189,14 @@ def _limited(message: str, rate: float) -> dict[str, Any]:
     return {"id": f"stop-{message}", "flows": ["ingress"], "messages": [message], "rules": rules}
 
 
+_ENDPOINT = re.compile(r"[a-z]+/[^/\s]+:\d{1,5}")
+
+
 def _on_site(endpoint: str) -> str:
     """Return an endpoint that only this machine can reach. Raises `ConfigurationError` for any other."""
+    if not _ENDPOINT.fullmatch(endpoint):
+        text = f"{endpoint!r} is no endpoint: write protocol, host and port, such as tcp/127.0.0.1:7447."
+        raise ConfigurationError(text, endpoint=endpoint)
     host = endpoint.removeprefix("tcp/").rpartition(":")[0].strip("[]")
     if host != "localhost" and not is_loopback(host):
         text = f"{endpoint} can be reached from other machines without certificates: use 127.0.0.1, or {SECURED}..."

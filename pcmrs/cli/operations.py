@@ -53,7 +53,7 @@ async def _asked(address: CellAddress) -> tuple[Snapshot, Setup]:
 
 
 def _rows(shown: Snapshot, setup: Setup, only: str) -> Iterator[dict[str, Any]]:
-    from pcmrs.client.objections import Objections
+    from pcmrs.dispatcher.objections import Objections
     from pcmrs.fsm import parse_blueprint
 
     blueprint = parse_blueprint(setup.blueprint.encode())

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pcmrs.client.objections import Objections
 from pcmrs.console.texts import Texts
+from pcmrs.dispatcher.objections import Objections
 from pcmrs.fsm import Blueprint, OperationSpec, guide_for
 from pcmrs.fsm.closure import Denial
 from pcmrs.messages import Snapshot

@@ -226,7 +226,7 @@ class Deadman:
                     continue
             rest = self.limit / 4  # soon: a device may start to move by itself
             if await self._at_risk():
-                await self._act(Silence(self.silence, held_up))
+                await self._act(silence)
                 rest = self.limit
             self._quiet_until = self._clock.monotonic() + rest
 

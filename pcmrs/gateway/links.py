@@ -217,7 +217,7 @@ async def _open_openigtlink(
 
 def _unbound(kind: str, host: str, port: int, error: OSError) -> ConfigurationError:
     return ConfigurationError(
-        f"{kind} port {port} of {host} cannot be bound ({error.strerror}); "
+        f"{kind} port {port} of {host} cannot be bound ({error.strerror or error}); "
         "another daemon may be running, or configure another port.",
         host=host,
         port=port,

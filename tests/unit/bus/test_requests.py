@@ -7,13 +7,15 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
+import msgspec
 import pytest
 
 from pcmrs.bus.qos import COMMANDS
 from pcmrs.bus.requests import send_query
+from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import DeviceReply, DeviceRequest
-from tests.unit.bus.bus_cells import TIMEOUT, open_pair
+from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, open_pair
 
 
 class SlowSession:
@@ -100,3 +102,22 @@ async def test_nobody_serving_and_silence_are_unknown_outcomes() -> None:
         router.serve("dev/robot/cmd", DeviceRequest, never)
         with pytest.raises(UnknownOutcomeError):
             await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 0.2)
+
+
+async def test_a_silence_is_no_forged_reply() -> None:
+    """Zenoh ends a query at its limit by an error of its own, which has no seal."""
+    settings, key = new_cell(), new_key()
+
+    async def never(_: str, __: DeviceRequest) -> DeviceReply:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    client = msgspec.structs.replace(settings, mode="client")
+    async with (
+        open_bus(settings, Seal(key + new_run(), daemon=True)) as daemon,
+        open_bus(client, Seal(key)) as node,
+    ):
+        node.serve("dev/robot/cmd", DeviceRequest, never)
+        with pytest.raises(UnknownOutcomeError):
+            await daemon.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 0.3)
+        assert daemon.counters()["bus.not_sealed"] == 0

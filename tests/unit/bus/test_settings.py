@@ -85,3 +85,11 @@ def test_a_user_who_may_not_take_part_is_refused_with_why(change: dict[str, Any]
     with pytest.raises(AccessError) as error:
         settings.member("anna", 10.0)
     assert (error.value.fields["why"], error.value.fields["user"]) == (why, "anna")
+
+
+@pytest.mark.parametrize("endpoint", ["127.0.0.1:7447", "tcp/127.0.0.1", "tcp/:7447x", "tcp/127.0.0.1:port"])
+def test_an_endpoint_without_protocol_or_port_is_refused(endpoint: str) -> None:
+    """Zenoh's own error came out as a traceback, also of `pcmrs stop`."""
+    for mode in ("client", "router"):
+        with pytest.raises(ConfigurationError, match="write protocol, host and port"):
+            BusSettings(mode=mode, endpoint=endpoint).zenoh_config()

@@ -36,7 +36,7 @@ def as_config(
         _check_finite(values, "")
         return msgspec.convert(values, kind)
     except msgspec.ValidationError:
-        from pcmrs._config_faults import faults_in  # not needed for a right configuration
+        from pcmrs.config._faults import faults_in  # not needed for a right configuration
 
         found = [(where(path) if where else "", text) for path, text in faults_in(values, kind)]
         lines = [f"{place}: {text}" if place else text for place, text in found]
