@@ -19,7 +19,7 @@ from pcmrs.files import SECRET, sha256_of, write_durably
 from pcmrs.journal import verify
 from pcmrs.journal.verification import Progress
 from pcmrs.maintenance._copying import check_room, copy_folder, files_in, links_in, make_new, settle, size_of, sync
-from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format
+from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format, not_a_cell
 from pcmrs.maintenance._formats import RECORDINGS
 from pcmrs.messages import Message
 
@@ -180,6 +180,8 @@ def _check(folder: Path, target: Path) -> None:
     if (folder / MANIFEST).exists():
         text = f"{folder} is a backup itself: copy it as it is."
         raise ConfigurationError(text, folder=str(folder))
+    if other := not_a_cell(folder):
+        raise ConfigurationError(other, folder=str(folder))
     if later := later_format(folder):
         raise ConfigurationError(later, folder=str(folder))
     if target.exists():

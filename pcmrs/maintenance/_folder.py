@@ -76,6 +76,25 @@ def later_format(folder: Path) -> str:
     )
 
 
+def not_a_cell(folder: Path) -> str:
+    """Return why a folder is not the folder of one cell, which may be copied as such; empty if it is."""
+    # A folder above cells has its own lock: their daemons would not be noticed, nor the logs of their journals copied.
+    below = sorted(
+        path
+        for pattern in (MARKER, JOURNALS)
+        for path in folder.rglob(pattern)
+        if path.parent != folder and not path.is_symlink()
+    )
+    if below:
+        return (
+            f"{folder} is not the folder of one cell: it has {below[0].relative_to(folder)} below it. Give the folder "
+            f"of the cell, or move {below[0].parent} away."
+        )
+    if not (folder / MARKER).exists() and not any(folder.glob(JOURNALS)):
+        return f"{folder} is not the folder of a cell: it has neither {MARKER} nor a journal. Give the cell.folder."
+    return ""
+
+
 def enter_folder(folder: Path) -> None:
     """Require that a daemon of this version may use a folder, and mark a new one.
 

@@ -181,3 +181,41 @@ def test_recordings_are_not_copied_but_linked(first: Lab) -> None:
     number = recording.stat().st_ino
     kept = upgrade(first)
     assert recording.stat().st_ino == number == (kept / "recordings" / recording.name).stat().st_ino
+
+
+@pytest.mark.parametrize("lab", ["first", "present"])
+def test_a_folder_above_a_running_cell_is_not_upgraded(lab: str, request: pytest.FixtureRequest) -> None:
+    """Its own lock is free, and the rows in the log of the journal below would not be copied."""
+    written: Lab = request.getfixturevalue(lab)
+    above = written.folder
+    above.chmod(0o755)
+    before, number = sorted(above.rglob("*")), above.stat().st_ino
+    with (
+        hold_folder(written.cell),
+        pytest.raises(ConfigurationError, match=r"not the folder of one cell: it has cell/.* below it"),
+    ):
+        upgrade_folder(above, SystemClock().wall())
+    assert (sorted(above.rglob("*")), above.stat().st_ino) == (before, number)
+    assert above.stat().st_mode & 0o777 == 0o755
+    assert [path.name for path in above.parent.iterdir()] == [above.name]
+
+
+def test_a_marked_folder_above_a_cell_is_not_upgraded(first: Lab) -> None:
+    """A daemon with the folder above as its cell.folder has marked it."""
+    enter_folder(first.folder)
+    before = contents(first.folder)
+    with pytest.raises(ConfigurationError, match=r"cell/ratms.sqlite below it"):
+        upgrade_folder(first.folder, SystemClock().wall())
+    assert contents(first.folder) == before
+
+
+def test_a_folder_without_a_cell_is_not_upgraded(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir(mode=0o755)
+    (tmp_path / "photos" / "one.png").write_bytes(b"1")
+    with pytest.raises(ConfigurationError, match="it has neither cell.json nor a journal"):
+        upgrade_folder(tmp_path / "photos", SystemClock().wall())
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["one.png", "photos"]
+    assert (tmp_path / "photos").stat().st_mode & 0o777 == 0o755
+    with pytest.raises(ConfigurationError, match="it has neither"):
+        upgrade_folder(tmp_path / "missing", SystemClock().wall())
+    assert not (tmp_path / "missing").exists()
