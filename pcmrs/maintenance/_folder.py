@@ -78,6 +78,8 @@ def later_format(folder: Path) -> str:
 
 def not_a_cell(folder: Path) -> str:
     """Return why a folder is not the folder of one cell, which may be copied as such; empty if it is."""
+    if (folder / MANIFEST).exists():
+        return _is_backup(folder)
     # A folder above cells has its own lock: their daemons would not be noticed, nor the logs of their journals copied.
     below = sorted(
         path
@@ -106,8 +108,7 @@ def enter_folder(folder: Path) -> None:
         OSError: The marker cannot be written.
     """
     if (folder / MANIFEST).exists():
-        text = f"{folder} is a backup, which stays as it is: `pcmrs restore {folder} FOLDER` makes a cell of it."
-        raise ConfigurationError(text, folder=str(folder))
+        raise ConfigurationError(_is_backup(folder), folder=str(folder))
     if later := later_format(folder):
         raise ConfigurationError(later, folder=str(folder))
     older = {path.name: found for path in sorted(folder.glob(JOURNALS)) if (found := _version(path)) < VERSION}
@@ -121,6 +122,10 @@ def enter_folder(folder: Path) -> None:
         )
     if not (folder / MARKER).exists():
         write_format(folder)
+
+
+def _is_backup(folder: Path) -> str:
+    return f"{folder} is a backup, which stays as it is: `pcmrs restore {folder} FOLDER` makes a cell of it."
 
 
 def _version(journal: Path) -> int:

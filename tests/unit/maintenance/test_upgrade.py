@@ -18,7 +18,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.failpoints import UPGRADE_FAILPOINTS, VARIABLE
 from pcmrs.journal import JournalReader, StoredRow, verify
 from pcmrs.journal.head import head_path
-from pcmrs.maintenance import check_folder, enter_folder, hold_folder, upgrade_folder
+from pcmrs.maintenance import back_up, check_folder, enter_folder, hold_folder, restore, upgrade_folder
 from tests import ROOT
 from tests.unit.maintenance.labs import Lab, contents
 
@@ -207,6 +207,20 @@ def test_a_marked_folder_above_a_cell_is_not_upgraded(first: Lab) -> None:
     with pytest.raises(ConfigurationError, match=r"cell/ratms.sqlite below it"):
         upgrade_folder(first.folder, SystemClock().wall())
     assert contents(first.folder) == before
+
+
+def test_a_backup_is_not_upgraded_and_can_be_restored(first: Lab, tmp_path: Path) -> None:
+    backup = tmp_path / "monday"
+    back_up(first.cell, backup, SystemClock().wall())
+    before = contents(tmp_path)
+    (refused,) = check_folder(backup).refused
+    assert "is a backup, which stays as it is" in refused.text
+    with pytest.raises(ConfigurationError, match=r"is a backup.*pcmrs restore"):
+        upgrade_folder(backup, SystemClock().wall())
+    assert contents(tmp_path) == before
+    assert not (backup / "lock").exists()
+    restore(backup, tmp_path / "restored")
+    assert check_folder(tmp_path / "restored").action == "use"
 
 
 def test_a_folder_without_a_cell_is_not_upgraded(tmp_path: Path) -> None:
