@@ -94,7 +94,7 @@ def _make_upgraded(folder: Path, copy: Path, progress: Progress | None) -> None:
     check_room(copy, size_of(folder, frozenset({RECORDINGS})))
     make_new(copy)
     (copy / _UNFINISHED).touch()
-    copy_folder(folder, copy, link=RECORDINGS)
+    copy_folder(folder, copy, link=RECORDINGS, symbolic=True)
     failpoint("upgrade.after_copy")
     for journal in sorted(copy.glob(JOURNALS)):
         _adopt(journal)

@@ -226,10 +226,46 @@ def test_a_backup_is_not_upgraded_and_can_be_restored(first: Lab, tmp_path: Path
 def test_a_folder_without_a_cell_is_not_upgraded(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir(mode=0o755)
     (tmp_path / "photos" / "one.png").write_bytes(b"1")
-    with pytest.raises(ConfigurationError, match="it has neither cell.json nor a journal"):
+    with pytest.raises(ConfigurationError, match=r"it has neither cell\.json nor a journal"):
         upgrade_folder(tmp_path / "photos", SystemClock().wall())
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["one.png", "photos"]
     assert (tmp_path / "photos").stat().st_mode & 0o777 == 0o755
     with pytest.raises(ConfigurationError, match="it has neither"):
         upgrade_folder(tmp_path / "missing", SystemClock().wall())
     assert not (tmp_path / "missing").exists()
+
+
+def test_links_are_in_the_upgraded_folder(first: Lab) -> None:
+    """Recordings on a larger disk, and the key of the journal on another one."""
+    disk = first.folder / "disk"
+    disk.mkdir()
+    (first.cell / "recordings").rename(disk / "recordings")
+    (first.cell / "journal.key").rename(disk / "journal.key")
+    (first.cell / "recordings").symlink_to("../disk/recordings")
+    (first.cell / "journal.key").symlink_to(disk / "journal.key")
+    (first.cell / "records" / "gone").symlink_to("/nowhere")
+    before, below = contents(disk), contents(first.cell)
+    kept = upgrade(first)
+
+    for folder in (first.cell, kept):
+        assert (folder / "recordings").readlink() == Path("../disk/recordings")
+        assert (folder / "journal.key").readlink() == disk / "journal.key"
+        assert (folder / "records" / "gone").readlink() == Path("/nowhere")
+    assert contents(disk) == before
+    assert contents(kept) == below
+    assert verify(first.journal).sound
+    assert "recording" in {file.kind for file in check_folder(first.cell).files}
+
+
+def test_a_linked_journal_is_upgraded_and_its_old_one_kept(first: Lab) -> None:
+    disk = first.folder / "disk"
+    disk.mkdir()
+    for name in ("ratms.sqlite", "ratms.sqlite.head", "journal.pub"):
+        (first.cell / name).rename(disk / name)
+        (first.cell / name).symlink_to(disk / name)
+    before = contents(disk)
+    kept = upgrade(first)
+    assert contents(disk) == before
+    assert not first.journal.is_symlink()
+    assert verify(first.journal).version == 3
+    assert (kept / "ratms.sqlite").is_symlink()
