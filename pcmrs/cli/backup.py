@@ -13,6 +13,7 @@ from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.clock import SystemClock
+from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load what reads journals.
@@ -33,8 +34,9 @@ def backup(target: Path, no_recordings: bool, as_json: bool, file: Path | None, 
     """Copy the configured cell into the new folder TARGET, and verify the copy. Its daemon may be running.
 
     The copy has the cell's folder with the key of its journal, and the files that the configuration names:
-    calibrations, register, workflow, arm. It has no other key, and no token. It has patients' data: keep it as safe as
-    the cell. Write down the line with the last row elsewhere: it shows later whether a journal was set back.
+    calibrations, register, workflow, arm, tools of the tracker. It has no other key, and no token. It has patients'
+    data: keep it as safe as the cell. Write down the line with the last row elsewhere: it shows later whether a journal
+    was set back.
 
     Exit status: 0 copied, 5 a journal or the disk failed, 4 the target exists, or there is no such cell.
 
@@ -86,23 +88,49 @@ def restore(backup: Path, folder: Path, as_json: bool) -> None:
 
 
 def _named_files(settings: Settings, file: Path | None) -> dict[str, Path]:
-    """Return the files that a configuration names and that are no secrets, by their names in the backup."""
-    from pcmrs.workflows.find import WorkflowFiles
+    """Return the files that a configuration names and that are no secrets, by their names in the backup.
 
+    Raises:
+        ConfigurationError: Two files would have the same name.
+    """
     calibration = settings.procedure.calibration
-    named = {
-        "cell.toml": "" if file is None else str(file),
-        "tool.toml": calibration.tool_file,
-        "tip.toml": calibration.tip_file,
-        "pointer.toml": calibration.pointer_file,
-        "register.json": settings.access.register,
-        "arm.urdf": settings.robot.model if settings.robot.model.endswith(".urdf") else "",
-    }
-    found = {name: Path(path) for name, path in named.items() if path}
-    if settings.workflow.endswith(".toml"):
-        own = WorkflowFiles(Path(settings.workflow))
-        found |= {path.name: path for path in (own.blueprint, own.code) if path.exists()}
+    named = [
+        ("cell.toml", "" if file is None else str(file)),
+        ("tool.toml", calibration.tool_file),
+        ("tip.toml", calibration.tip_file),
+        ("pointer.toml", calibration.pointer_file),
+        ("register.json", settings.access.register),
+        ("arm.urdf", settings.robot.model if settings.robot.model.endswith(".urdf") else ""),
+    ]
+    found: dict[str, Path] = {}
+    for name, path in [
+        *((name, Path(path)) for name, path in named if path),
+        *((path.name, path) for path in (*_workflow_files(settings.workflow), *_tracker_files(settings))),
+    ]:
+        if found.setdefault(name, path) != path:
+            text = f"{found[name]} and {path} would both be {name} in the backup: give one of them another name."
+            raise ConfigurationError(text, file=str(path))
     return found
+
+
+def _workflow_files(workflow: str) -> list[Path]:
+    """Return the files of a workflow that is no installed one; its base and its approval are needed to start it."""
+    from pcmrs.fsm.files.extend import extended_file
+    from pcmrs.pki import approval_file
+    from pcmrs.workflows.find import find_workflow
+
+    if not workflow.endswith(".toml"):
+        return []
+    own = find_workflow(workflow)
+    base = extended_file(own.blueprint)
+    optional = (own.code, approval_file(own.blueprint))
+    return [own.blueprint, *([] if base is None else [base]), *(path for path in optional if path.exists())]
+
+
+def _tracker_files(settings: Settings) -> list[Path]:
+    """Return the definitions of the tools, without which the tracker's node does not start."""
+    tools: dict[str, str] = settings.ndi.get("tools", {}) if settings.tracker.driver == "ndi" else {}
+    return [Path(path).expanduser().absolute() for path in tools.values()]
 
 
 def _made(report: BackupReport) -> list[str]:

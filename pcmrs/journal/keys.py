@@ -89,10 +89,12 @@ def signed_by(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
 
 
 def _refuse_to_replace(path: Path, public: Path, make: bool) -> None:
-    if public.exists() or not make:
+    # A dangling link is a key on a disk that is not there: a new key must not take its place.
+    linked = f", a symbolic link to {path.readlink()}," if path.is_symlink() else ""
+    if public.exists() or linked or not make:
         raise JournalError(
-            f"{path} is missing, and journals are signed with it: put it back from a copy, or start a new journal in "
-            "another cell.folder. `pcmrs journal verify` needs the public key only.",
+            f"{path}{linked} is missing, and journals are signed with it: put it back from a copy, or start a new "
+            "journal in another cell.folder. `pcmrs journal verify` needs the public key only.",
             path=str(path),
         )
 

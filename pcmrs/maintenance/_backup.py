@@ -17,9 +17,10 @@ import msgspec
 from pcmrs.errors import BackupError, ConfigurationError
 from pcmrs.files import SECRET, sha256_of, write_durably
 from pcmrs.journal import verify
+from pcmrs.journal.keys import PRIVATE
 from pcmrs.journal.verification import Progress
 from pcmrs.maintenance._copying import check_room, copy_folder, files_in, links_in, make_new, settle, size_of, sync
-from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format
+from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format, not_a_cell
 from pcmrs.maintenance._formats import RECORDINGS
 from pcmrs.messages import Message
 
@@ -100,7 +101,8 @@ def back_up(
         progress: Callback for the number of rows verified.
 
     Raises:
-        ConfigurationError: The target exists, there is no cell, a later version wrote it, or there is too little space.
+        ConfigurationError: The target exists, there is no cell, a later version wrote it, the key of its journal is a
+            symbolic link, or there is too little space.
         BackupError: A copied journal is not whole.
         JournalError: A journal cannot be read, or is written too fast to be copied.
         OSError: A file cannot be read or written.
@@ -180,8 +182,16 @@ def _check(folder: Path, target: Path) -> None:
     if (folder / MANIFEST).exists():
         text = f"{folder} is a backup itself: copy it as it is."
         raise ConfigurationError(text, folder=str(folder))
+    if other := not_a_cell(folder):
+        raise ConfigurationError(other, folder=str(folder))
     if later := later_format(folder):
         raise ConfigurationError(later, folder=str(folder))
+    if (key := folder / PRIVATE).is_symlink():
+        text = (
+            f"{key} is a symbolic link to {key.readlink()}, and a backup does not follow links: without the key it "
+            "could not be restored. Put the key itself there, and repeat."
+        )
+        raise ConfigurationError(text, file=str(key))
     if target.exists():
         raise ConfigurationError(f"{target} exists already: give another name.", file=str(target))
     if target.absolute().is_relative_to(folder.absolute()):

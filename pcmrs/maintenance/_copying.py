@@ -20,7 +20,9 @@ _EXCHANGE: Final = 2
 """Flag of renameat2(2), see `linux/fs.h`."""
 
 
-def copy_folder(source: Path, target: Path, *, leave_out: frozenset[str] = frozenset(), link: str = "") -> None:
+def copy_folder(
+    source: Path, target: Path, *, leave_out: frozenset[str] = frozenset(), link: str = "", symbolic: bool = False
+) -> None:
     """Copy a cell's folder; a daemon may be writing it.
 
     Journals are copied first: a counter of a signed peer is then never older than the journal, so that no command that
@@ -32,6 +34,8 @@ def copy_folder(source: Path, target: Path, *, leave_out: frozenset[str] = froze
         leave_out: Names of files and folders at the top that are not copied.
         link: Name of a folder at the top whose files are hard links if the file system allows it: large files that
             nobody writes any more.
+        symbolic: True to make symbolic links with the same targets, for a copy beside the source. A linked journal is
+            copied all the same.
 
     Raises:
         JournalError: A journal cannot be read, or is written too fast to be copied.
@@ -49,6 +53,8 @@ def copy_folder(source: Path, target: Path, *, leave_out: frozenset[str] = froze
         place = target / path.relative_to(source)
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         _copy(path, place, link=bool(link) and top == link)
+    if symbolic:
+        _copy_links(source, target)
 
 
 def files_in(folder: Path) -> Iterator[Path]:
@@ -59,7 +65,7 @@ def files_in(folder: Path) -> Iterator[Path]:
 
 
 def links_in(folder: Path) -> list[str]:
-    """Return the names of symbolic links in a folder and below, which no copy holds."""
+    """Return the names of symbolic links in a folder and below, which no backup holds."""
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_symlink())
 
 
@@ -101,7 +107,7 @@ def make_new(folder: Path) -> None:
 def settle(folder: Path) -> None:
     """Write all files and folders of a copy to the disk. Raises `OSError`."""
     for path in [folder, *folder.rglob("*")]:
-        if path.is_dir() or path.is_file():
+        if not path.is_symlink() and (path.is_dir() or path.is_file()):
             sync(path)
 
 
@@ -134,6 +140,15 @@ def exchange(one: Path, other: Path) -> None:
         )
         raise ConfigurationError(text, folder=str(one))
     sync(one.parent)
+
+
+def _copy_links(source: Path, target: Path) -> None:
+    for name in links_in(source):
+        place = target / name
+        if is_temporary(place.name) or os.path.lexists(place):  # the latter has the content of a linked journal
+            continue
+        place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        place.symlink_to((source / name).readlink())
 
 
 def _copy(path: Path, place: Path, *, link: bool) -> None:

@@ -76,6 +76,27 @@ def later_format(folder: Path) -> str:
     )
 
 
+def not_a_cell(folder: Path) -> str:
+    """Return why a folder is not the folder of one cell, which may be copied as such; empty if it is."""
+    if (folder / MANIFEST).exists():
+        return _is_backup(folder)
+    # A folder above cells has its own lock: their daemons would not be noticed, nor the logs of their journals copied.
+    below = sorted(
+        path
+        for pattern in (MARKER, JOURNALS)
+        for path in folder.rglob(pattern)
+        if path.parent != folder and not path.is_symlink()
+    )
+    if below:
+        return (
+            f"{folder} is not the folder of one cell: it has {below[0].relative_to(folder)} below it. Give the folder "
+            f"of the cell, or move {below[0].parent} away."
+        )
+    if not (folder / MARKER).exists() and not any(folder.glob(JOURNALS)):
+        return f"{folder} is not the folder of a cell: it has neither {MARKER} nor a journal. Give the cell.folder."
+    return ""
+
+
 def enter_folder(folder: Path) -> None:
     """Require that a daemon of this version may use a folder, and mark a new one.
 
@@ -87,8 +108,7 @@ def enter_folder(folder: Path) -> None:
         OSError: The marker cannot be written.
     """
     if (folder / MANIFEST).exists():
-        text = f"{folder} is a backup, which stays as it is: `pcmrs restore {folder} FOLDER` makes a cell of it."
-        raise ConfigurationError(text, folder=str(folder))
+        raise ConfigurationError(_is_backup(folder), folder=str(folder))
     if later := later_format(folder):
         raise ConfigurationError(later, folder=str(folder))
     older = {path.name: found for path in sorted(folder.glob(JOURNALS)) if (found := _version(path)) < VERSION}
@@ -102,6 +122,10 @@ def enter_folder(folder: Path) -> None:
         )
     if not (folder / MARKER).exists():
         write_format(folder)
+
+
+def _is_backup(folder: Path) -> str:
+    return f"{folder} is a backup, which stays as it is: `pcmrs restore {folder} FOLDER` makes a cell of it."
 
 
 def _version(journal: Path) -> int:

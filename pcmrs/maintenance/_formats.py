@@ -12,7 +12,7 @@ from pcmrs.gateway.auth.counters import check_counters
 from pcmrs.journal import JournalReader, verify
 from pcmrs.journal.schema import VERSION
 from pcmrs.journal.verification import Progress
-from pcmrs.maintenance._folder import FORMAT, JOURNALS, later_format, read_format
+from pcmrs.maintenance._folder import FORMAT, JOURNALS, later_format, not_a_cell, read_format
 from pcmrs.maintenance.migration import last_blueprint, migration_for
 from pcmrs.messages import Message
 from pcmrs.workflows.find import find_installed, find_workflow
@@ -111,11 +111,13 @@ def _checked(path: Path, kind: str, read: Callable[[Path], object]) -> FileForma
 
 def _folder_format(folder: Path) -> FileFormat:
     try:
-        found, later = read_format(folder).format, later_format(folder)
+        found, text = read_format(folder).format, later_format(folder)
     except ConfigurationError as error:
-        found, later = 0, error.text
-    action: Action = "refuse" if later else "upgrade" if found < FORMAT else "use"
-    return FileFormat(file=str(folder), kind="folder of a cell", format=found, newest=FORMAT, action=action, text=later)
+        found, text = 0, error.text
+    if other := not_a_cell(folder):
+        found, text = 0, other
+    action: Action = "refuse" if text else "upgrade" if found < FORMAT else "use"
+    return FileFormat(file=str(folder), kind="folder of a cell", format=found, newest=FORMAT, action=action, text=text)
 
 
 def _journal_format(path: Path, blueprints: _Blueprints, progress: Progress | None) -> FileFormat:

@@ -7,6 +7,7 @@ can use it; afterwards the new one is complete. The old folder is the backup.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -20,8 +21,8 @@ from pcmrs.journal.schema import VERSION
 from pcmrs.journal.verification import Progress
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.maintenance._copying import check_room, copy_folder, exchange, make_new, settle, size_of, sync
-from pcmrs.maintenance._folder import JOURNALS, hold_folder, write_format
-from pcmrs.maintenance._formats import RECORDINGS, FileFormat, FolderCheck, check_folder
+from pcmrs.maintenance._folder import JOURNALS, hold_folder, not_a_cell, write_format
+from pcmrs.maintenance._formats import RECORDINGS, FileFormat, check_folder
 from pcmrs.messages import Message
 
 _UNFINISHED: Final = "unfinished-upgrade"
@@ -54,17 +55,20 @@ def upgrade_folder(
         progress: Callback for the number of rows verified.
 
     Raises:
-        ConfigurationError: A daemon runs, a file is refused, there is too little space, or the file system cannot
-            exchange names. The folder is unchanged.
+        ConfigurationError: It is not the folder of one cell, a daemon runs, a file is refused, there is too little
+            space, or the file system cannot exchange names. The folder is unchanged.
         JournalError: A journal cannot be upgraded, or the upgraded one does not verify. The folder is unchanged.
         OSError: The disk refuses. The folder is unchanged.
     """
     kept = folder.with_name(f"{folder.name}.before-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%S}")
+    # Before the lock, which makes a file and changes the mode of the folder.
+    if other := not_a_cell(folder):
+        raise _refused(folder, {str(folder): other})
     with hold_folder(folder):
         finished = _finish(folder, kept)
         found = check_folder(folder, workflow, progress)
         if found.refused:
-            raise _refused(found)
+            raise _refused(folder, {file.file: file.text for file in found.refused})
         if found.action == "use":
             return UpgradeReport(folder=str(folder), upgraded=(), kept=str(kept) if finished else None)
         copy = _copy_of(folder)
@@ -90,7 +94,7 @@ def _make_upgraded(folder: Path, copy: Path, progress: Progress | None) -> None:
     check_room(copy, size_of(folder, frozenset({RECORDINGS})))
     make_new(copy)
     (copy / _UNFINISHED).touch()
-    copy_folder(folder, copy, link=RECORDINGS)
+    copy_folder(folder, copy, link=RECORDINGS, symbolic=True)
     failpoint("upgrade.after_copy")
     for journal in sorted(copy.glob(JOURNALS)):
         _adopt(journal)
@@ -144,7 +148,7 @@ def _finish(folder: Path, kept: Path) -> bool:
     return exchanged
 
 
-def _refused(found: FolderCheck) -> ConfigurationError:
-    reasons = "\n".join(file.text for file in found.refused)
-    text = f"{found.folder} is not upgraded, and is unchanged:\n{reasons}"
-    return ConfigurationError(text, folder=found.folder, refused=[file.file for file in found.refused])
+def _refused(folder: Path, reasons: Mapping[str, str]) -> ConfigurationError:
+    listed = "\n".join(reasons.values())
+    text = f"{folder} is not upgraded, and is unchanged:\n{listed}"
+    return ConfigurationError(text, folder=str(folder), refused=list(reasons))

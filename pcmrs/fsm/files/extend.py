@@ -47,17 +47,26 @@ def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table
     return merged, places.over(below, moved), [*older, *warnings]
 
 
+def extended_file(path: FilePath) -> FilePath | None:
+    """Return the file that a blueprint extends; None if it extends none.
+
+    Raises:
+        OSError: The blueprint cannot be opened.
+        BlueprintError: It cannot be read, or what it extends is not the name of a file beside it.
+    """
+    own, places = read_toml(read_bounded(path), str(path))
+    return path.parent / _base_name(own[EXTENDS], places) if EXTENDS in own else None
+
+
 def _read_layer(raw: bytes, origin: str) -> tuple[Table, Places, list[Finding]]:
     table, places = read_toml(raw, origin)
     return table, places, with_locations(rename_keys(table), places)
 
 
 def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[Table, Places, list[Finding]]:
+    name = _base_name(name, places)
     origin, line, column = places.of((EXTENDS,))
     here = line, column
-    if not (isinstance(name, str) and FILE_NAME.fullmatch(name)):
-        text = f"`extends` is {name!r}; it must be the name of a .toml file beside this one, without a folder."
-        refuse(origin, "bad_extends", text, here, (EXTENDS,))
     if folder is None:
         text = f"`extends` names {name}, but this text has no folder: give the path of its file."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
@@ -82,6 +91,14 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
         text = f"`extends` names {name}, which extends another file itself: extend that one, or write it whole."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
     return {key: value for key, value in base.items() if key not in OWN}, below, warnings
+
+
+def _base_name(name: object, places: Places) -> str:
+    origin, line, column = places.of((EXTENDS,))
+    if not (isinstance(name, str) and FILE_NAME.fullmatch(name)):
+        text = f"`extends` is {name!r}; it must be the name of a .toml file beside this one, without a folder."
+        refuse(origin, "bad_extends", text, (line, column), (EXTENDS,))
+    return name
 
 
 def _merged(base: Mapping[str, Any], own: Mapping[str, Any], above: Path, moved: dict[Path, Path]) -> Table:

@@ -50,6 +50,15 @@ def test_without_its_head_or_key_nothing_is_written(
         Journal.open(killed_path)
 
 
+def test_a_link_to_a_missing_key_is_named_and_stays(tmp_path: Path) -> None:
+    """The disk with the key is not mounted: no new key takes its place."""
+    key = tmp_path / "journal.key"
+    key.symlink_to("/nowhere/journal.key")
+    with pytest.raises(JournalError, match=r"journal\.key, a symbolic link to /nowhere/journal\.key, is missing"):
+        Journal.open(tmp_path / NAME)
+    assert key.is_symlink()
+
+
 def test_a_public_key_of_another_kind_verifies_nothing(killed_path: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.pub"
     other.write_bytes(OTHER_KIND[1])

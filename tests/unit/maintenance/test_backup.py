@@ -91,6 +91,22 @@ def test_a_place_that_is_no_new_folder_outside_is_refused(present: Lab, tmp_path
     assert contents(tmp_path) == before
 
 
+def test_a_folder_above_a_cell_is_not_backed_up(present: Lab, tmp_path: Path) -> None:
+    """The rows in the log of the journal below would not be copied."""
+    with pytest.raises(ConfigurationError, match=r"not the folder of one cell: it has cell/cell.json below it"):
+        back_up(present.folder, tmp_path / "copy", NOW)
+    assert [path.name for path in tmp_path.iterdir()] == ["lab"]
+
+
+def test_a_linked_key_of_the_journal_gives_no_backup(present: Lab, tmp_path: Path) -> None:
+    """A backup without the key cannot be restored."""
+    (present.cell / "journal.key").rename(present.folder / "journal.key")
+    (present.cell / "journal.key").symlink_to("../journal.key")
+    with pytest.raises(ConfigurationError, match=r"cell/journal.key is a symbolic link to \.\./journal.key"):
+        back_up(present.cell, tmp_path / "copy", NOW)
+    assert [path.name for path in tmp_path.iterdir()] == ["lab"]
+
+
 @pytest.mark.parametrize("change", ["changed", "removed", "added"])
 def test_a_changed_backup_is_recognized(present: Lab, tmp_path: Path, change: str) -> None:
     copy = tmp_path / "copy"

@@ -141,3 +141,9 @@ def test_a_journal_of_an_unknown_blueprint_names_the_migration(present: Lab, tmp
     changed.write_text(re.sub(r"\[\[migrations\]\]\n(?:\w+ = .*\n)+", "", text))
     (refused,) = check_folder(present.cell, str(changed)).refused
     assert "[[migrations]]" in refused.text
+
+
+def test_a_folder_above_a_cell_is_refused(present: Lab) -> None:
+    (refused,) = check_folder(present.folder).refused
+    assert (refused.kind, refused.format) == ("folder of a cell", 0)
+    assert "cell/cell.json below it" in refused.text

@@ -18,7 +18,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.failpoints import UPGRADE_FAILPOINTS, VARIABLE
 from pcmrs.journal import JournalReader, StoredRow, verify
 from pcmrs.journal.head import head_path
-from pcmrs.maintenance import check_folder, enter_folder, hold_folder, upgrade_folder
+from pcmrs.maintenance import back_up, check_folder, enter_folder, hold_folder, restore, upgrade_folder
 from tests import ROOT
 from tests.unit.maintenance.labs import Lab, contents
 
@@ -181,3 +181,91 @@ def test_recordings_are_not_copied_but_linked(first: Lab) -> None:
     number = recording.stat().st_ino
     kept = upgrade(first)
     assert recording.stat().st_ino == number == (kept / "recordings" / recording.name).stat().st_ino
+
+
+@pytest.mark.parametrize("lab", ["first", "present"])
+def test_a_folder_above_a_running_cell_is_not_upgraded(lab: str, request: pytest.FixtureRequest) -> None:
+    """Its own lock is free, and the rows in the log of the journal below would not be copied."""
+    written: Lab = request.getfixturevalue(lab)
+    above = written.folder
+    above.chmod(0o755)
+    before, number = sorted(above.rglob("*")), above.stat().st_ino
+    with (
+        hold_folder(written.cell),
+        pytest.raises(ConfigurationError, match=r"not the folder of one cell: it has cell/.* below it"),
+    ):
+        upgrade_folder(above, SystemClock().wall())
+    assert (sorted(above.rglob("*")), above.stat().st_ino) == (before, number)
+    assert above.stat().st_mode & 0o777 == 0o755
+    assert [path.name for path in above.parent.iterdir()] == [above.name]
+
+
+def test_a_marked_folder_above_a_cell_is_not_upgraded(first: Lab) -> None:
+    """A daemon with the folder above as its cell.folder has marked it."""
+    enter_folder(first.folder)
+    before = contents(first.folder)
+    with pytest.raises(ConfigurationError, match=r"cell/ratms.sqlite below it"):
+        upgrade_folder(first.folder, SystemClock().wall())
+    assert contents(first.folder) == before
+
+
+def test_a_backup_is_not_upgraded_and_can_be_restored(first: Lab, tmp_path: Path) -> None:
+    backup = tmp_path / "monday"
+    back_up(first.cell, backup, SystemClock().wall())
+    before = contents(tmp_path)
+    (refused,) = check_folder(backup).refused
+    assert "is a backup, which stays as it is" in refused.text
+    with pytest.raises(ConfigurationError, match=r"is a backup.*pcmrs restore"):
+        upgrade_folder(backup, SystemClock().wall())
+    assert contents(tmp_path) == before
+    assert not (backup / "lock").exists()
+    restore(backup, tmp_path / "restored")
+    assert check_folder(tmp_path / "restored").action == "use"
+
+
+def test_a_folder_without_a_cell_is_not_upgraded(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir(mode=0o755)
+    (tmp_path / "photos" / "one.png").write_bytes(b"1")
+    with pytest.raises(ConfigurationError, match=r"it has neither cell\.json nor a journal"):
+        upgrade_folder(tmp_path / "photos", SystemClock().wall())
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["one.png", "photos"]
+    assert (tmp_path / "photos").stat().st_mode & 0o777 == 0o755
+    with pytest.raises(ConfigurationError, match="it has neither"):
+        upgrade_folder(tmp_path / "missing", SystemClock().wall())
+    assert not (tmp_path / "missing").exists()
+
+
+def test_links_are_in_the_upgraded_folder(first: Lab) -> None:
+    """Recordings on a larger disk, and the key of the journal on another one."""
+    disk = first.folder / "disk"
+    disk.mkdir()
+    (first.cell / "recordings").rename(disk / "recordings")
+    (first.cell / "journal.key").rename(disk / "journal.key")
+    (first.cell / "recordings").symlink_to("../disk/recordings")
+    (first.cell / "journal.key").symlink_to(disk / "journal.key")
+    (first.cell / "records" / "gone").symlink_to("/nowhere")
+    before, below = contents(disk), contents(first.cell)
+    kept = upgrade(first)
+
+    for folder in (first.cell, kept):
+        assert (folder / "recordings").readlink() == Path("../disk/recordings")
+        assert (folder / "journal.key").readlink() == disk / "journal.key"
+        assert (folder / "records" / "gone").readlink() == Path("/nowhere")
+    assert contents(disk) == before
+    assert contents(kept) == below
+    assert verify(first.journal).sound
+    assert "recording" in {file.kind for file in check_folder(first.cell).files}
+
+
+def test_a_linked_journal_is_upgraded_and_its_old_one_kept(first: Lab) -> None:
+    disk = first.folder / "disk"
+    disk.mkdir()
+    for name in ("ratms.sqlite", "ratms.sqlite.head", "journal.pub"):
+        (first.cell / name).rename(disk / name)
+        (first.cell / name).symlink_to(disk / name)
+    before = contents(disk)
+    kept = upgrade(first)
+    assert contents(disk) == before
+    assert not first.journal.is_symlink()
+    assert verify(first.journal).version == 3
+    assert (kept / "ratms.sqlite").is_symlink()
