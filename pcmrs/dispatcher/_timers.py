@@ -23,7 +23,8 @@ class Timers(Generic[C, D]):
     run: after a restart all branches are in their starting states, in which no timer runs.
 
     Stop and its latch do not end them. A failure of the journal does not, either: an event that is posted meanwhile is
-    submitted again when the procedure is resumed, as the report of a device is.
+    submitted again when the procedure is resumed, as the report of a device is, unless the timer has ended or was
+    restarted: by an operation whose outcome was unknown, and which the journal has as accepted.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -71,6 +72,27 @@ class Timers(Generic[C, D]):
             self._coordinator.announce_later(_event(TIMER_STARTED, timer, command, f"{text}{timer.state}."))
         if changes.ended or changes.begun:
             self._wait_for_next()
+
+    def counts(self, command: Command) -> bool:
+        """Return false for the event of a timer that has ended or was restarted since it was posted.
+
+        Args:
+            command: Command of a timer or of any other source.
+        """
+        source, _, key = command.source.partition(":")
+        timer = self._schedule.running.get(key)
+        return source != "timer" or (timer is not None and timer.expired)
+
+    def follow_again(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
+        """Withdraw an event that was submitted again, too, if its timer ends or is restarted while it waits.
+
+        Args:
+            command: Command of a timer or of any other source.
+            verdict: Verdict on it to come.
+        """
+        source, _, key = command.source.partition(":")
+        if source == "timer":
+            self._posted[key] = verdict
 
     def close(self) -> None:
         """End all; none begins any more, and no event follows."""

@@ -13,7 +13,8 @@ from msgspec import inspect as types
 from pcmrs.messages.setup import ArgumentShown
 
 _ATTRIBUTE = re.compile(r"^    (\w+): ", re.MULTILINE)
-_UNIT = re.compile(r",? ?\b(m|mm|rad|deg|s|N|Hz|percent)\b(?=[^,]*?(?:[.;]|$))")
+_UNIT = re.compile(r"(?<!['’])\b(m|mm|rad|deg|s|N|Hz|percent)\b(?=[^,]*?(?:[.;]|$))")
+_WITH_UNIT = ("number", "integer", "numbers")
 
 
 def arguments_shown(payloads: Mapping[str, type[msgspec.Struct]]) -> dict[str, list[ArgumentShown]]:
@@ -43,7 +44,8 @@ def _helps(kind: type[msgspec.Struct]) -> dict[str, str]:
 def _shown(field: types.Field, text: str) -> ArgumentShown:
     possible = field.type.types if isinstance(field.type, types.UnionType) else (field.type,)
     kinds = [each for each in possible if not isinstance(each, types.NoneType)]
-    unit = _UNIT.search(text)
+    limits = _limits(kinds[0] if len(kinds) == 1 else field.type)
+    unit = _UNIT.search(text) if limits["kind"] in _WITH_UNIT else None
     default = field.default_factory() if field.default_factory is not msgspec.NODEFAULT else field.default
     return ArgumentShown(
         name=field.encode_name,
@@ -52,7 +54,7 @@ def _shown(field: types.Field, text: str) -> ArgumentShown:
         required=field.required,
         optional=len(kinds) < len(possible),
         default=None if field.required else msgspec.json.decode(msgspec.json.encode(default)),
-        **_limits(kinds[0] if len(kinds) == 1 else field.type),
+        **limits,
     )
 
 

@@ -206,7 +206,7 @@ class Dispatcher(Generic[C, D]):
         self._stop_control = StopControl(context, self._stops, decisions, activities)
         reconciliation = Reconciliation(self.procedure, verdicts, decisions, self._outcomes, activities, timers)
         self._recovery = FailureRecovery(
-            context, recorder, self._admission, self._stop_control, activities, reconciliation
+            context, recorder, self._admission, self._stop_control, activities, timers, reconciliation
         )
         self._follow_up = FollowUp(
             context, self._admission, self._stop_control, self._recovery, self._outcomes, activities, timers

@@ -200,6 +200,7 @@ class FailureRecovery(Generic[C, D]):
         admission: Accepts nothing while the dispatcher has failed.
         stop_control: Latches Stop and follows the hold.
         activities: End with a failure.
+        timers: Know which of their events still count.
         reconciliation: Settles the unconfirmed commands.
     """
 
@@ -210,6 +211,7 @@ class FailureRecovery(Generic[C, D]):
         admission: CommandAdmission[C, D],
         stop_control: StopControl[C, D],
         activities: Activities[C, D],
+        timers: Timers[C, D],
         reconciliation: Reconciliation[C, D],
     ) -> None:
         self._context = context
@@ -219,9 +221,10 @@ class FailureRecovery(Generic[C, D]):
         self._admission = admission
         self._stop_control = stop_control
         self._activities = activities
+        self._timers = timers
         self._reconciliation = reconciliation
         self._listeners = context.listeners
-        self._missed: dict[tuple[str, str], Command] = {}
+        self._missed: dict[tuple[str, str, str], Command] = {}
 
     def fail(self, reason: Reason) -> Reason:
         """Fail-stop; see `Dispatcher.fail`."""
@@ -277,13 +280,15 @@ class FailureRecovery(Generic[C, D]):
     def remember_missed(self, command: Command, verdict: Verdict) -> None:
         """Remember the event of a device or timer that could not be decided: it is still true after the failure.
 
+        That of a timer is not if the timer has ended or was restarted; so each source has its own.
+
         Args:
             command: The command of the device or timer.
             verdict: The verdict on it.
         """
         broken = self._admission.broken is not None
         if broken and verdict.decision != "accepted" and command.source.startswith(("device:", "timer:")):
-            self._missed[command.branch, command.operation] = command
+            self._missed[command.source, command.branch, command.operation] = command
 
     async def _reconcile(self, in_flight: Container[tuple[str, str]]) -> None:
         async for verdict in self._reconciliation.of_all(in_flight):
@@ -303,7 +308,10 @@ class FailureRecovery(Generic[C, D]):
 
     def _submit_missed(self) -> list[asyncio.Future[Verdict]]:
         missed, self._missed = self._missed, {}
-        return [
-            self._admission.admit(msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}"))
-            for command in missed.values()
-        ]
+        return [self._submit_again(command) for command in missed.values() if self._timers.counts(command)]
+
+    def _submit_again(self, command: Command) -> asyncio.Future[Verdict]:
+        again = msgspec.structs.replace(command, id=f"{command.operation}-{uuid.uuid4().hex}")
+        verdict = self._admission.admit(again)
+        self._timers.follow_again(again, verdict)
+        return verdict

@@ -56,6 +56,8 @@ def _unfit(operation: OperationSpec) -> Iterator[str]:
         yield "releases Stop's latch: only a person may."
     if operation.checks or operation.requires:
         yield "has checks or requires: nothing may keep it from being performed."
+    if operation.steps:
+        yield "has steps: it is posted once, and a step may fail, so that it would never take effect."
     if operation.payload != "none":
         yield "has arguments: a timer has none to give."
     if operation.outcomes:

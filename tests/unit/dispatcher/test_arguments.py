@@ -24,6 +24,9 @@ class Given(msgspec.Struct, frozen=True):
         method: Method.
         sure: True if a person has looked.
         plan: A nested plan.
+        visits: The patient's visits until now.
+        file: Base name of the surface's file; None for the configured one.
+        group: Group, N or S.
     """
 
     translation: tuple[float, float, float]
@@ -33,6 +36,9 @@ class Given(msgspec.Struct, frozen=True):
     count: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
     method: Literal["ml", "staircase"] = "ml"
     sure: bool = False
+    visits: int = 1
+    file: str | None = None
+    group: Literal["N", "S"] = "N"
 
 
 def test_each_kind_of_argument_is_described() -> None:
@@ -51,6 +57,12 @@ def test_each_kind_of_argument_is_described() -> None:
     assert found["plan"].kind == "other"
 
 
+@pytest.mark.parametrize("name", ["visits", "file", "group"])
+def test_a_letter_that_is_no_unit_is_not_shown_as_one(name: str) -> None:
+    (found,) = (each for each in arguments_shown({"given": Given})["given"] if each.name == name)
+    assert found.unit == ""
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_arguments_of_shipped_workflows_can_be_sent_with_help(name: str) -> None:
     workflow = shipped_workflow(name)
@@ -59,4 +71,5 @@ def test_arguments_of_shipped_workflows_can_be_sent_with_help(name: str) -> None
     for branch in workflow.blueprint.branches.values():
         for spec in branch.operations.values():
             assert all(each.help for each in shown[spec.payload]), spec.payload
+            assert not any(each.unit for each in shown[spec.payload] if each.kind == "text"), spec.payload
     assert [each.unit for each in shown["nudge"]] == ["m", "rad"]

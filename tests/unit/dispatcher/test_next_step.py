@@ -27,6 +27,23 @@ def test_next_stage_is_named_with_the_way_to_it() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("name", "under_way"),
+    [
+        ("ratms", {}),
+        ("ratms_threshold", {}),
+        ("grid_mapping", {"mapping": "ready"}),
+        ("femoroplasty", {"treatment": "ready"}),
+    ],
+)
+def test_from_replanned_the_way_to_the_next_target_is_shown(name: str, under_way: dict[str, str]) -> None:
+    """The position of the tool is known: no retreat comes first."""
+    guide = guide_for(shipped_blueprint(name))
+    states = {branch: PLACED.get(branch, start) for branch, start in guide.blueprint.initial().items()}
+    found = next_step(guide, states | {"placement": "replanned"} | under_way)
+    assert (found.next, found.path[:2]) == ("placement.approach", ["placement.approach", "placement.confirm"])
+
+
 def test_while_stop_is_latched_its_release_is_next() -> None:
     found = next_step(GUIDE, PLACED | {"placement": "held"}, stop=7)
     assert (found.next, found.stage) == ("robot.acknowledge", "")

@@ -7,10 +7,12 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from pcmrs.messages import DeviceEvent
+from pcmrs.dispatcher.events import EarlierDecision
+from pcmrs.fsm import parse_blueprint
+from pcmrs.messages import DeviceEvent, Verdict
 from pcmrs.testing.clock import settle
 from tests.unit.dispatcher.dispatcher_fakes import Bench
-from tests.unit.fsm.timed_workflow import timed_blueprint
+from tests.unit.fsm.timed_workflow import TIMED, timed_blueprint
 
 
 @pytest.fixture
@@ -195,6 +197,67 @@ async def test_a_timer_that_expires_while_nothing_is_written_counts(bench: Bench
     await bench.dispatcher.resume(set())
     await settle()
     assert state(bench, "tool") == "held"
+
+
+async def nudge_that_the_journal_has(bench: Bench, *reporting: str) -> None:
+    """A nudge ends as the journal fails, 600 s after the tool was placed; its row has reached the disk after all.
+
+    Devices report meanwhile that the tool was left alone.
+    """
+    await go(bench, "tool.place")
+    gate = bench.script.hang("tool.nudge")
+    nudged = await bench.begin("tool.nudge", id="n1")
+    for source in reporting:
+        await bench.begin("tool.left_alone", source=source)
+    await bench.clock.advance(600)
+    assert bench.dispatcher.waiting == 1 + len(reporting)
+    bench.recorder.failing.add("decision")
+    gate.set()
+    assert (await nudged).decision == "unknown"
+    await settle()
+    assert (bench.dispatcher.broken is not None, bench.dispatcher.waiting) == (True, 0)
+    bench.recorder.failing.clear()
+    durable = Verdict(id="n1", branch="tool", operation="nudge", decision="accepted", state="placed", sequence=99)
+    bench.recorder.earlier["test:user", "n1"] = EarlierDecision(durable, {})
+
+
+async def test_who_acted_as_the_journal_failed_is_not_hit(bench: Bench) -> None:
+    """The event was due and could not be decided; the nudge that it waited for began the time again."""
+    await nudge_that_the_journal_has(bench)
+    await bench.dispatcher.resume({("test:user", "n1")})
+    await settle()
+    assert state(bench, "tool") == "placed"
+    await bench.clock.advance(599)
+    assert state(bench, "tool") == "placed"
+    await bench.clock.advance(1)
+    assert state(bench, "tool") == "held"
+
+
+async def test_a_report_counts_although_the_timer_does_not(bench: Bench) -> None:
+    """A device has reported the event before the timer has posted it, and neither could be decided."""
+    await nudge_that_the_journal_has(bench, "device:watch")
+    await bench.dispatcher.resume({("test:user", "n1")})
+    await settle()
+    assert state(bench, "tool") == "held"
+
+
+async def test_a_resubmitted_event_does_not_hit_who_acts() -> None:
+    """What a device has reported during the failure comes first, and begins the time again."""
+    text = TIMED.replace('restarted_by = ["tool.nudge"', 'restarted_by = ["tool.touched", "tool.nudge"')
+    text += '[branches.tool.operations.touched]\nfrom = ["placed"]\nto = "placed"\nevent = true\nsteps = ["feel"]\n'
+    bench = Bench(parse_blueprint(text.encode()), ["tool"])
+    await go(bench, "tool.place")
+    bench.recorder.failing.add("decision")
+    await bench.do("tool.no_such_operation")
+    await bench.do("tool.touched", source="device:skin")
+    await bench.clock.advance(600)
+    bench.recorder.failing.clear()
+    await bench.dispatcher.resume(set())
+    await settle()
+    assert (state(bench, "tool"), bench.script.entered[-1:]) == ("placed", ["tool.touched"])
+    await bench.clock.advance(600)
+    assert state(bench, "tool") == "held"
+    await bench.dispatcher.close()
 
 
 async def test_nothing_follows_after_the_end(bench: Bench) -> None:

@@ -26,6 +26,7 @@ FAULTS = {
     ),
     "event with checks": (EVENT, EVENT + '\nchecks = ["see"]', "bad_timer", "checks or requires"),
     "event that requires": (EVENT, EVENT + '\nrequires = { pulse = ["ready"] }', "bad_timer", "checks or requires"),
+    "event with steps": (EVENT, EVENT + '\nsteps = ["look_at_tool"]', "bad_timer", "a step may fail"),
     "event with arguments": (EVENT, EVENT + '\npayload = "plan"', "bad_timer", "has arguments"),
     "event that unlatches": (EVENT, EVENT + "\nunlatches = true", "bad_timer", "only a person may"),
     "event that Stop blocks": (EVENT, EVENT + "\nblocked_when_latched = true", "bad_timer", "blocked by Stop"),
