@@ -61,10 +61,10 @@ class _Source:
 class SceneWatch:
     """Watch over the sources of scene events; see docs/scene.md.
 
-    A label that calls Stop takes the lane of Stop at the event by which it becomes present, if a motion may run. While
-    it is present, and while a source whose loss calls Stop is lost, no motion towards the patient begins, and one that
-    has begun anyway is stopped. A retreat that begins in this situation is not stopped again: nobody may be kept from
-    leaving the patient.
+    A label that calls Stop takes the lane of Stop at the event by which it, or another object with it, becomes present,
+    if a motion may run. While it is present, and while a source whose loss calls Stop is lost, no motion towards the
+    patient begins, and one that has begun anyway is stopped. A retreat that begins in this situation is not stopped
+    again: nobody may be kept from leaving the patient.
 
     Args:
         settings: Sources and rules.
@@ -105,8 +105,12 @@ class SceneWatch:
         if source.liveness.take(event):
             now = self._clock.monotonic()
             for presence in self._presences:
-                if presence.rule.counts(event) and presence.take(event, now):
-                    self._begin(presence.rule, event)
+                if not presence.rule.counts(event):
+                    continue
+                presence.expire(now)
+                first = not presence.present
+                if presence.take(event, now):
+                    self._begin(presence.rule, event, first=first)
         self._check([source])
 
     async def run(self) -> None:
@@ -133,8 +137,11 @@ class SceneWatch:
         if reason is not None and self._dispatcher.moving and not self._dispatcher.only_retreats:
             self._stop(DeviceEvent(device="scene", code=reason.fields["cause"], text=reason.text, danger=True))
 
-    def _begin(self, rule: SceneRuleSettings, event: SceneEvent) -> None:
-        """Do what a rule calls, at the event by which its label has become present."""
+    def _begin(self, rule: SceneRuleSettings, event: SceneEvent, *, first: bool) -> None:
+        """Do what a rule calls, at the event by which its label, or another object with it, has become present.
+
+        Another object may stop; it is not reported otherwise, so that a source with unsteady tracks fills no journal.
+        """
         stops = rule.calls == STOP and self._acts_now(rule)
         where = f" in {event.region}" if event.region else ""
         text = f"{event.source} sees {event.label}{where} (confidence {event.confidence:.2f})"
@@ -155,6 +162,8 @@ class SceneWatch:
         )
         if stops:
             self._stop(shown)
+            return
+        if not first:
             return
         self._dispatcher.report_later(shown)
         if rule.calls != STOP:

@@ -117,6 +117,39 @@ def test_new_hand_stops_a_retreat_too() -> None:
     cell_with(course, HAND)
 
 
+def test_second_hand_stops_a_retreat_beside_the_first() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        await approach(cell)
+        detector.sees["hand"] = {"track": 1}
+        await acknowledge(cell)
+        await cell.accept("placement.back_off")
+        moving = asyncio.get_running_loop().create_task(cell.call("placement.home"))
+        await cell.until(lambda shown: bool(shown.running))
+        await cell.clock.sleep(0.5)
+        assert not cell.snapshot.latched, "the first was there when the retreat began"
+        detector.sees["hand"] = {"track": 2}
+        verdict = await moving
+        assert verdict.reason is not None
+        assert verdict.reason.code == "scene_intrusion"
+        assert verdict.reason.fields["track"] == 2
+
+    cell_with(course, HAND)
+
+
+def test_another_object_calls_an_operation_only_once() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        detector.sees["drift"] = {"track": 1}
+        await cell.clock.sleep(1.0)
+        sequence = cell.snapshot.sequence
+        for number in range(2, 20):
+            detector.sees["drift"] = {"track": number}
+            await cell.clock.sleep(0.1)
+        assert cell.snapshot.sequence == sequence
+
+    cell_with(course, "{label='drift', calls='registration.reference_moved'}")
+
+
 def test_hand_where_nothing_may_move_is_reported_only() -> None:
     async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
         detector.sees["hand"] = {}
