@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
+from pcmrs.devices.lateness import AGREED, AHEAD
 from pcmrs.messages.scene_event import BLIND, SceneEvent
 from pcmrs.scene.settings import SceneSourceSettings
 
@@ -14,12 +15,55 @@ Loss = Literal["silent", "stale", "flooded", "blind"]
 
 NEVER: Final = float("-inf")
 
+DRIFT: Final = 1e-3
+"""Largest difference of the rates of two clocks, also while both are being set to the time of day, s/s."""
+
+
+class _Delay:
+    """Delay of events beyond the fastest one of a session, by time stamps of the sender's clock.
+
+    Unlike `pcmrs.devices.lateness.Lateness`, it forgets the fastest event by the drift of the clocks only: a delay that
+    lasts for minutes does not count as normal.
+    """
+
+    def __init__(self) -> None:
+        self._offset: float | None = None
+        self._compared = 0.0
+        self._ahead: dict[float, float] = {}
+
+    def take(self, sent: float, now: float) -> float | None:
+        """Return the delay of an event, s; None if its time stamp is ahead of the others and so cannot be used.
+
+        If `AGREED` stamps in succession are ahead and agree, the others were late, and the comparison restarts.
+
+        Args:
+            sent: Time at which it was sent, s of the sender's clock.
+            now: Time at which it arrived, s of our clock.
+        """
+        offset = now - sent
+        if self._offset is None:
+            self._offset, self._compared = offset, now
+        least = self._offset + DRIFT * (now - self._compared)
+        if offset >= least - AHEAD:
+            self._ahead.clear()
+        elif not self._agrees(sent, offset):
+            return None
+        self._offset, self._compared = min(least, offset), now
+        return offset - self._offset
+
+    def _agrees(self, sent: float, offset: float) -> bool:
+        if any(abs(offset - other) > AHEAD for other in self._ahead.values()):
+            self._ahead.clear()
+        self._ahead[sent] = offset
+        return len(self._ahead) >= AGREED
+
 
 class Liveness:
     """Liveness of one source.
 
-    The clocks of a source and of this machine differ by an unknown offset. The smallest difference of arrival and
-    sending in a session stands for it, so that the delay of an event beyond the fastest one counts towards its age.
+    The clocks of a source and of this machine differ by an unknown offset, which drifts. The smallest difference of
+    arrival and sending in a session stands for it, so that the delay of an event beyond the fastest one counts towards
+    its age.
 
     Args:
         settings: Settings of the source.
@@ -28,16 +72,19 @@ class Liveness:
     Attributes:
         lost: Why the source is lost; None while it is not.
         blind: Reason of the newest report that the source cannot see.
+        ahead: Number of events that were dropped, since their time stamp was ahead of the others.
     """
 
     def __init__(self, settings: SceneSourceSettings, clock: Clock) -> None:
         self.settings = settings
         self.lost: Loss | None = None
         self.blind = ""
+        self.ahead = 0
         self._clock = clock
         self._bucket = TokenBucket(settings.rate_hz, max(1, round(settings.rate_hz)), clock)
         self._session: str | None = None
-        self._newest = self._offset = 0.0
+        self._newest = NEVER
+        self._delay = _Delay()
         now = clock.monotonic()
         self._received = self._fresh = now
         self._flooded = self._said_blind = NEVER
@@ -55,9 +102,12 @@ class Liveness:
             self._flooded = now
             return False
         if event.session != self._session:
-            self._session, self._newest, self._offset = event.session, NEVER, now - event.sent
-        self._offset = min(self._offset, now - event.sent)
-        age = event.sent - event.captured + (now - event.sent - self._offset)
+            self._session, self._newest, self._delay = event.session, NEVER, _Delay()
+        delay = self._delay.take(event.sent, now)
+        if delay is None:
+            self.ahead += 1
+            return False
+        age = event.sent - event.captured + delay
         if event.captured > event.sent or age > limit or event.captured < self._newest:
             return False
         if event.label == BLIND:

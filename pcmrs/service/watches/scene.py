@@ -177,7 +177,12 @@ class SceneWatch:
             code=LOST,
             text=f"{source.text} Look at its camera and its process.",
             danger=danger,
-            fields={"source": source.name, "why": source.liveness.lost, "blind": source.liveness.blind},
+            fields={
+                "source": source.name,
+                "why": source.liveness.lost,
+                "blind": source.liveness.blind,
+                "ahead": source.liveness.ahead,
+            },
         )
         log.warning(LOST, **event.fields)
         if danger:
