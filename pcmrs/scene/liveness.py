@@ -10,8 +10,9 @@ from pcmrs.devices.lateness import AGREED, AHEAD
 from pcmrs.messages.scene_event import BLIND, SceneEvent
 from pcmrs.scene.settings import SceneSourceSettings
 
-Loss = Literal["silent", "stale", "flooded", "blind"]
-"""Why a source is lost: it sends nothing; its frames are old or always the same; it sends too much; it says so."""
+Loss = Literal["silent", "stale", "flooded", "blind", "two_senders"]
+"""Why a source is lost: it sends nothing; its frames are old or always the same; it sends too much; it says so; two
+processes send for it."""
 
 NEVER: Final = float("-inf")
 
@@ -87,7 +88,7 @@ class Liveness:
         self._delay = _Delay()
         now = clock.monotonic()
         self._received = self._fresh = now
-        self._flooded = self._said_blind = NEVER
+        self._flooded = self._said_blind = self._doubled = NEVER
         self._good_since: float | None = None
 
     def take(self, event: SceneEvent) -> bool:
@@ -97,12 +98,14 @@ class Liveness:
             event: The event.
         """
         now, limit = self._clock.monotonic(), self.settings.silent_after
-        self._received = now
+        if event.session == self._session:
+            self._received = now
         if not self._bucket.take():
             self._flooded = now
             return False
-        if event.session != self._session:
-            self._session, self._newest, self._delay = event.session, NEVER, _Delay()
+        if event.session != self._session and not self._begin_session(event.session, now):
+            self._doubled = now
+            return False
         delay = self._delay.take(event.sent, now)
         if delay is None:
             self.ahead += 1
@@ -115,6 +118,15 @@ class Liveness:
         if event.captured > self._newest:
             self._newest, self._fresh = event.captured, now
         return now - self._fresh <= limit  # a frame that is sent again and again shows nothing new
+
+    def _begin_session(self, session: str, now: float) -> bool:
+        """Take another session if the present one is silent; return False if it still sends."""
+        if self._session is not None:
+            if now - self._received <= self.settings.silent_after:
+                return False
+            self.check()  # its silence is a loss, also if nobody has looked since
+        self._session, self._newest, self._delay, self._received = session, NEVER, _Delay(), now
+        return True
 
     def check(self) -> Loss | None:
         """Update `lost`, and return it."""
@@ -132,6 +144,8 @@ class Liveness:
         limit = self.settings.silent_after
         if now - self._flooded <= limit:
             return "flooded"
+        if now - self._doubled <= limit:
+            return "two_senders"
         if now - self._said_blind <= limit:
             return "blind"
         if now - self._received > limit:

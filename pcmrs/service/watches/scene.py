@@ -42,6 +42,7 @@ _LOSSES: Final = {
     "stale": "has sent no new frame for {limit:g} s",
     "flooded": "has sent more than {rate:g} events per second",
     "blind": "cannot see the scene ({blind})",
+    "two_senders": "is sent by two processes at the same time",
 }
 
 

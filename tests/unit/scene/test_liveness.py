@@ -117,7 +117,46 @@ async def test_restarted_source_is_compared_with_itself_only() -> None:
     source = Source()
     source.send()
     source.session = "second"
+    await source.clock.advance(0.6)
     assert source.send(age=0.1)
+
+
+async def test_second_process_is_a_loss_and_shows_nothing() -> None:
+    source = Source()
+    source.send()
+    source.session = "second"
+    await source.clock.advance(0.2)
+    assert not source.send()
+    assert source.liveness.check() == "two_senders"
+
+
+async def test_second_process_does_not_hide_the_death_of_the_first() -> None:
+    source = Source()
+    source.send()
+    source.session = "second"
+    await source.watch(1.6)
+    assert source.liveness.lost is not None, "it was two senders, and then one that has yet to send for some time"
+    await source.watch(1.0)
+    assert source.liveness.lost is None
+
+
+async def test_sessions_that_alternate_do_not_renew_old_frames() -> None:
+    source = Source()
+    source.send()
+    for number in range(20):
+        await source.clock.advance(0.1)
+        source.session = ("first", "second")[number % 2]
+        assert source.send(delay=1.0) is False
+    assert source.liveness.check() is not None
+
+
+async def test_change_of_session_shows_a_silence_that_nobody_saw() -> None:
+    source = Source()
+    source.send()
+    source.session = "second"
+    await source.clock.advance(0.51)
+    source.send()
+    assert source.liveness.check() == "silent"
 
 
 async def test_more_events_than_the_rate_are_a_loss() -> None:
