@@ -261,6 +261,46 @@ def test_loss_of_a_source_calls_its_operation() -> None:
     cell_with(course, source="scene_events.sources.camera={user='tester', when_lost='robot.link_lost'}")
 
 
+def test_operation_that_ends_what_a_motion_requires_stops_it() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.sees["cable_out"] = {}
+        began = cell.clock.monotonic()
+        await cell.until(lambda shown: shown.latched and shown.branches["robot"] == "0")
+        assert cell.clock.monotonic() - began < 1.0, "it does not wait for the motion"
+        verdict = await moving
+        assert verdict.reason is not None
+        assert (verdict.reason.code, verdict.reason.fields["label"]) == ("scene_seen", "cable_out")
+
+    cell_with(course, "{label='cable_out', calls='robot.link_lost'}")
+
+
+def test_loss_that_ends_what_a_motion_requires_stops_it() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.silent = True
+        began = cell.clock.monotonic()
+        await cell.until(lambda shown: shown.latched and shown.branches["robot"] == "0")
+        assert cell.clock.monotonic() - began < 1.5
+        verdict = await moving
+        assert verdict.reason is not None
+        assert verdict.reason.code == "scene_lost"
+
+    cell_with(course, source="scene_events.sources.camera={user='tester', when_lost='robot.link_lost'}")
+
+
+def test_operation_that_no_motion_requires_stops_nothing() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.sees["drift"] = {}
+        assert (await moving).decision == "accepted"
+
+    cell_with(course, "{label='drift', calls='alignment.outside'}")
+
+
 def test_another_user_cannot_send_for_a_source() -> None:
     async def run(cell: CellInSimulatedTime) -> None:
         async with detecting(cell) as detector:
