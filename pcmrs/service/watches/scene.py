@@ -118,13 +118,15 @@ class SceneWatch:
         self._check([source])
 
     async def run(self) -> None:
-        """Check until cancelled."""
+        """Check until cancelled; what was held up takes the events first, but not twice in a row without a check."""
+        skips = False
         while True:
             mark()
             begun = self._clock.monotonic()
             await self._clock.sleep(PERIOD)
             held_up = self._clock.monotonic() - begun - PERIOD > HELD_UP
-            self._check([] if held_up else self._sources.values())
+            skips = held_up and not skips
+            self._check([] if skips else self._sources.values())
 
     def _check(self, sources: Iterable[_Source]) -> None:
         """Find labels that are gone, and which of the sources are lost; then bar or allow motion."""

@@ -5,15 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import pytest
 
+from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages import Verdict
+from pcmrs.messages import DeviceEvent, Reason, Verdict
+from pcmrs.scene.settings import SceneEventSettings, SceneSourceSettings
+from pcmrs.service.watches.scene import HELD_UP, SceneWatch
+from pcmrs.testing.clock import ManualClock
 from pcmrs.testing.detector import ScriptedDetector
 from pcmrs.testing.driving import landmarks, tool_pose
 from pcmrs.testing.simulated import CellInSimulatedTime, run_simulated
+from tests.support.shipped import shipped_workflow
 
 CAMERA = "scene_events.sources.camera={user='tester'}"
 HAND = "{label='hand', calls='stop'}"
@@ -299,6 +304,38 @@ def test_operation_that_no_motion_requires_stops_nothing() -> None:
         assert (await moving).decision == "accepted"
 
     cell_with(course, "{label='drift', calls='alignment.outside'}")
+
+
+class LateClock(ManualClock):
+    """A clock of a loop that is held up each time."""
+
+    async def sleep(self, seconds: float) -> None:
+        await super().sleep(seconds + 2.0 * HELD_UP)
+
+
+async def test_silence_is_found_although_the_watch_is_always_late() -> None:
+    class Standing:
+        """A dispatcher of a cell in which nothing moves."""
+
+        procedure = Procedure(shipped_workflow("ratms"))
+        moving, only_retreats = False, True
+        barred: Reason | None = None
+        reported: ClassVar[list[DeviceEvent]] = []
+
+        def bar_motion(self, reason: Reason | None) -> None:
+            self.barred = reason
+
+        def report_later(self, event: DeviceEvent) -> None:
+            self.reported.append(event)
+
+    clock, dispatcher = LateClock(), Standing()
+    settings = SceneEventSettings({"camera": SceneSourceSettings()})
+    watch = asyncio.create_task(SceneWatch(settings, cast(Any, dispatcher), clock).run())
+    for _ in range(20):
+        await clock.advance(0.1)
+    watch.cancel()
+    assert [event.code for event in dispatcher.reported] == ["scene_lost"]
+    assert dispatcher.barred is not None
 
 
 def test_another_user_cannot_send_for_a_source() -> None:
