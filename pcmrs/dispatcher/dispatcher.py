@@ -379,10 +379,16 @@ class Dispatcher(Generic[C, D]):
         """
         return self._stop_control.begin(source, reason, then)
 
-    def begin_stop_for(self, event: DeviceEvent) -> asyncio.Task[bool]:
-        """Begin to stop everything for a danger event, and submit its event operations; see `begin_stop`."""
+    def begin_stop_for(self, event: DeviceEvent, then: Submission = list) -> asyncio.Task[bool]:
+        """Begin to stop everything for a danger event, and submit its event operations; see `begin_stop`.
+
+        Args:
+            event: The event.
+            then: Submits further operations that follow from it, before anything is awaited.
+        """
         reason = Reason(code=event.code, text=event.text, fields=event.fields)
-        return self.begin_stop(f"device:{event.device}", reason, partial(self._admission.admit_event, event))
+        source = f"device:{event.device}"
+        return self.begin_stop(source, reason, lambda: [*self._admission.admit_event(event), *then()])
 
     def press_stop(self, source: str, presses: int = 1) -> StopUnderWay:
         """Stop for a person; see `begin_stop`.

@@ -32,9 +32,12 @@ HELD_UP: Final = 0.1
 INTRUSION: Final = "scene_intrusion"
 """Code of the danger event that a label which calls Stop is seen while a motion may run."""
 SEEN: Final = "scene_seen"
-"""Code of the event that a label is present, without a Stop."""
+"""Code of the event that a label is present whose rule does not stop, or calls an operation.
+
+It is a danger if the operation changes what a motion requires, and a motion may run.
+"""
 LOST: Final = "scene_lost"
-"""Code of the event that a source is lost; a danger if it calls Stop and a motion may run."""
+"""Code of the event that a source is lost; a danger if a motion may run, and it calls Stop or such an operation."""
 RETURNED: Final = "scene_returned"
 """Code of the event that a lost source sends again."""
 _LOSSES: Final = {
@@ -42,6 +45,7 @@ _LOSSES: Final = {
     "stale": "has sent no new frame for {limit:g} s",
     "flooded": "has sent more than {rate:g} events per second",
     "blind": "cannot see the scene ({blind})",
+    "two_senders": "is sent by two processes at the same time",
 }
 
 
@@ -61,10 +65,10 @@ class _Source:
 class SceneWatch:
     """Watch over the sources of scene events; see docs/scene.md.
 
-    A label that calls Stop takes the lane of Stop at the event by which it becomes present, if a motion may run. While
-    it is present, and while a source whose loss calls Stop is lost, no motion towards the patient begins, and one that
-    has begun anyway is stopped. A retreat that begins in this situation is not stopped again: nobody may be kept from
-    leaving the patient.
+    A label that calls Stop takes the lane of Stop at the event by which it, or another object with it, becomes present,
+    if a motion may run. While it is present, and while a source whose loss calls Stop is lost, no motion towards the
+    patient begins, and one that has begun anyway is stopped. A retreat that begins in this situation is not stopped
+    again: nobody may be kept from leaving the patient.
 
     Args:
         settings: Sources and rules.
@@ -105,18 +109,24 @@ class SceneWatch:
         if source.liveness.take(event):
             now = self._clock.monotonic()
             for presence in self._presences:
-                if presence.rule.counts(event) and presence.take(event, now):
-                    self._begin(presence.rule, event)
+                if not presence.rule.counts(event):
+                    continue
+                presence.expire(now)
+                first = not presence.present
+                if presence.take(event, now):
+                    self._begin(presence.rule, event, first=first)
         self._check([source])
 
     async def run(self) -> None:
-        """Check until cancelled."""
+        """Check until cancelled; what was held up takes the events first, but not twice in a row without a check."""
+        skips = False
         while True:
             mark()
             begun = self._clock.monotonic()
             await self._clock.sleep(PERIOD)
             held_up = self._clock.monotonic() - begun - PERIOD > HELD_UP
-            self._check([] if held_up else self._sources.values())
+            skips = held_up and not skips
+            self._check([] if skips else self._sources.values())
 
     def _check(self, sources: Iterable[_Source]) -> None:
         """Find labels that are gone, and which of the sources are lost; then bar or allow motion."""
@@ -130,15 +140,21 @@ class SceneWatch:
                 self._on_loss(source) if lost else self._on_return(source)
         reason = self._not_clear()
         self._dispatcher.bar_motion(reason)
-        if reason is not None and self._dispatcher.moving and not self._dispatcher.only_retreats:
-            self._stop(DeviceEvent(device="scene", code=reason.fields["cause"], text=reason.text, danger=True))
+        dispatcher, latched = self._dispatcher, self._dispatcher.procedure.latched
+        if reason is not None and not latched and dispatcher.moving and not dispatcher.only_retreats:
+            self._tell(DeviceEvent(device="scene", code=reason.fields["cause"], text=reason.text, danger=True), None)
 
-    def _begin(self, rule: SceneRuleSettings, event: SceneEvent) -> None:
-        """Do what a rule calls, at the event by which its label has become present."""
+    def _begin(self, rule: SceneRuleSettings, event: SceneEvent, *, first: bool) -> None:
+        """Do what a rule calls, at the event by which its label, or another object with it, has become present.
+
+        Another object may stop; it is not reported otherwise, so that a source with unsteady tracks fills no journal.
+        """
         stops = rule.calls == STOP and self._acts_now(rule)
+        call = None if rule.calls == STOP else _command(event.source, rule.calls, passed_on(rule, event))
+        danger = stops or (first and call is not None and self._takes_from_a_motion(call))
         where = f" in {event.region}" if event.region else ""
         text = f"{event.source} sees {event.label}{where} (confidence {event.confidence:.2f})"
-        text += ": the robot is held. Look at the cell; when it is clear, acknowledge." if stops else "."
+        text += ": the robot is held. Look at the cell; when it is clear, acknowledge." if danger else "."
         fields = {
             "source": event.source,
             "label": event.label,
@@ -151,32 +167,30 @@ class SceneWatch:
             "calls": rule.calls,
         }
         shown = DeviceEvent(
-            device=f"scene:{event.source}", code=INTRUSION if stops else SEEN, text=text, danger=stops, fields=fields
+            device=f"scene:{event.source}", code=INTRUSION if stops else SEEN, text=text, danger=danger, fields=fields
         )
-        if stops:
-            self._stop(shown)
-            return
-        self._dispatcher.report_later(shown)
-        if rule.calls != STOP:
-            self._call(event.source, rule.calls, passed_on(rule, event))
+        if danger or first:
+            self._tell(shown, call)
 
     def _on_loss(self, source: _Source) -> None:
         calls = source.liveness.settings.when_lost
+        call = None if calls in (STOP, REPORT) else _command(source.name, calls, {})
         danger = calls == STOP and not self._dispatcher.procedure.latched and self._may_move.now()
+        danger = danger or (call is not None and self._takes_from_a_motion(call))
         event = DeviceEvent(
             device=f"scene:{source.name}",
             code=LOST,
             text=f"{source.text} Look at its camera and its process.",
             danger=danger,
-            fields={"source": source.name, "why": source.liveness.lost, "blind": source.liveness.blind},
+            fields={
+                "source": source.name,
+                "why": source.liveness.lost,
+                "blind": source.liveness.blind,
+                "ahead": source.liveness.ahead,
+            },
         )
         log.warning(LOST, **event.fields)
-        if danger:
-            self._stop(event)
-            return
-        self._dispatcher.report_later(event)
-        if calls not in (STOP, REPORT):
-            self._call(source.name, calls, {})
+        self._tell(event, call)
 
     def _on_return(self, source: _Source) -> None:
         text = f"The source {source.name} of scene events sends new frames again."
@@ -204,26 +218,47 @@ class SceneWatch:
         in_states = all(joint.get(branch) in states for branch, states in rule.states.items())
         return dispatcher.moving or (in_states and self._may_move.now())
 
-    def _stop(self, event: DeviceEvent) -> None:
-        if not self._dispatcher.procedure.latched:
-            self._dispatcher.begin_stop_for(event)
+    def _takes_from_a_motion(self, call: Command) -> bool:
+        """Return whether a motion may run, and an operation changes what motions require: it must not wait for one."""
+        procedure = self._dispatcher.procedure
+        if procedure.latched or not self._may_move.now():
+            return False
+        answer = procedure.ask(call.branch, call.operation)
+        if isinstance(answer, Closure):
+            return not self._may_move.required.isdisjoint(answer.writes)
+        # It is rejected at once, unless a motion that runs takes its branch to a state that allows it.
+        return self._dispatcher.moving and call.branch in self._may_move.required
 
-    def _call(self, source: str, name: str, arguments: dict[str, Any]) -> None:
-        branch, _, operation = name.partition(".")
-        command = Command(
-            id=f"scene-{uuid.uuid4().hex}",
-            branch=branch,
-            operation=operation,
-            source=f"detector:{source}",
-            user=DAEMON,
-            role="daemon",
-            arguments=arguments,
-        )
-        self._dispatcher.admit(command)
+    def _tell(self, event: DeviceEvent, call: Command | None) -> None:
+        """Report an event, and submit the operation that it calls; danger stops everything first."""
+        if event.danger:
+            self._dispatcher.begin_stop_for(event, lambda: [] if call is None else [self._dispatcher.admit(call)])
+            return
+        self._dispatcher.report_later(event)
+        if call is not None:
+            self._dispatcher.admit(call)
+
+
+def _command(source: str, name: str, arguments: dict[str, Any]) -> Command:
+    """Return the command by which a source calls an event operation, ``branch.operation``."""
+    branch, _, operation = name.partition(".")
+    return Command(
+        id=f"scene-{uuid.uuid4().hex}",
+        branch=branch,
+        operation=operation,
+        source=f"detector:{source}",
+        user=DAEMON,
+        role="daemon",
+        arguments=arguments,
+    )
 
 
 class _MotionStates:
-    """Joint states in which a motion may run: one could be requested, or an activity moves the robot."""
+    """Joint states in which a motion may run: one could be requested, or an activity moves the robot.
+
+    Attributes:
+        required: Branches whose states some motion requires, and those that move the robot.
+    """
 
     def __init__(self, dispatcher: Dispatcher[Any, Any]) -> None:
         self._dispatcher = dispatcher
@@ -240,6 +275,13 @@ class _MotionStates:
             for state, activity in branch.activities.items()
             if activity.moves
         ]
+        self.required = frozenset(name for name, _ in self._moved).union(
+            *(
+                {name} | blueprint.examined[name, key]
+                for name, key in self._acting
+                if blueprint.branches[name].operations[key].moves
+            )
+        )
 
     def now(self) -> bool:
         """Return whether a motion may run in the present states."""

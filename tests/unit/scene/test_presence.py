@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from pcmrs.messages import SceneEvent
-from pcmrs.scene.presence import Presence
+from pcmrs.scene.presence import MOST_OBJECTS, Presence
 from pcmrs.scene.settings import SceneRuleSettings
 
 RULE = SceneRuleSettings(label="hand", least_confidence=0.6, hysteresis=0.2, lasts=0.2, gone_after=0.5)
 
 
-def seen(confidence: float = 0.9, track: int | None = None) -> SceneEvent:
-    return SceneEvent(
-        source="camera", label="hand", captured=1.0, sent=1.0, session="s", confidence=confidence, track=track
-    )
+def seen(confidence: float = 0.9, **fields: Any) -> SceneEvent:
+    values = {"source": "camera", "label": "hand", "captured": 1.0, "sent": 1.0, "session": "s"} | fields
+    return SceneEvent(confidence=confidence, **values)
 
 
 def test_label_is_present_after_it_has_lasted() -> None:
@@ -57,3 +58,35 @@ def test_label_is_gone_only_after_the_limit() -> None:
     presence.expire(0.51)
     assert not presence.present
     assert presence.take(seen(), 0.6), "it is a new one when it is seen again"
+
+
+@pytest.mark.parametrize(
+    "other", [{"track": 2}, {"region": "table"}, {"source": "second"}], ids=["track", "region", "source"]
+)
+def test_another_object_begins_while_the_label_is_present(other: dict[str, Any]) -> None:
+    presence = Presence(SceneRuleSettings(label="hand", least_confidence=0.6, hysteresis=0.2, gone_after=0.5))
+    assert presence.take(seen(track=1), 0.0)
+    assert not presence.take(seen(track=1), 0.1)
+    assert not presence.take(seen(0.5, **({"track": 1} | other)), 0.2), "the hysteresis is for what was there"
+    assert presence.take(seen(**({"track": 1} | other)), 0.3)
+    assert not presence.take(seen(track=1), 0.4)
+    assert not presence.take(seen(**({"track": 1} | other)), 0.5)
+
+
+def test_another_object_must_last_as_well() -> None:
+    presence = Presence(RULE)
+    assert [presence.take(seen(track=1), now) for now in (0.0, 0.2)] == [False, True]
+    assert [presence.take(seen(track=2), now) for now in (0.3, 0.4, 0.6)] == [False, False, True]
+
+
+def test_object_that_was_gone_is_new_beside_one_that_stays() -> None:
+    presence = Presence(SceneRuleSettings(label="hand", gone_after=0.5))
+    begun = [presence.take(seen(track=number), now) for now, number in ((0.0, 2), (0.3, 1), (0.6, 1), (0.7, 2))]
+    assert begun == [True, True, False, True]
+
+
+def test_objects_beyond_the_limit_count_as_one() -> None:
+    presence = Presence(SceneRuleSettings(label="hand", gone_after=0.5))
+    assert all(presence.take(seen(track=number), 0.0) for number in range(MOST_OBJECTS))
+    assert presence.take(seen(track=100), 0.1)
+    assert not any(presence.take(seen(track=number), 0.1) for number in range(200, 10_000))

@@ -5,15 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import pytest
 
+from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages import Verdict
+from pcmrs.messages import DeviceEvent, Reason, Verdict
+from pcmrs.scene.settings import SceneEventSettings, SceneSourceSettings
+from pcmrs.service.watches.scene import HELD_UP, SceneWatch
+from pcmrs.testing.clock import ManualClock
 from pcmrs.testing.detector import ScriptedDetector
 from pcmrs.testing.driving import landmarks, tool_pose
 from pcmrs.testing.simulated import CellInSimulatedTime, run_simulated
+from tests.support.shipped import shipped_workflow
 
 CAMERA = "scene_events.sources.camera={user='tester'}"
 HAND = "{label='hand', calls='stop'}"
@@ -115,6 +120,39 @@ def test_new_hand_stops_a_retreat_too() -> None:
         assert verdict.reason.code == "scene_intrusion"
 
     cell_with(course, HAND)
+
+
+def test_second_hand_stops_a_retreat_beside_the_first() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        await approach(cell)
+        detector.sees["hand"] = {"track": 1}
+        await acknowledge(cell)
+        await cell.accept("placement.back_off")
+        moving = asyncio.get_running_loop().create_task(cell.call("placement.home"))
+        await cell.until(lambda shown: bool(shown.running))
+        await cell.clock.sleep(0.5)
+        assert not cell.snapshot.latched, "the first was there when the retreat began"
+        detector.sees["hand"] = {"track": 2}
+        verdict = await moving
+        assert verdict.reason is not None
+        assert verdict.reason.code == "scene_intrusion"
+        assert verdict.reason.fields["track"] == 2
+
+    cell_with(course, HAND)
+
+
+def test_another_object_calls_an_operation_only_once() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        detector.sees["drift"] = {"track": 1}
+        await cell.clock.sleep(1.0)
+        sequence = cell.snapshot.sequence
+        for number in range(2, 20):
+            detector.sees["drift"] = {"track": number}
+            await cell.clock.sleep(0.1)
+        assert cell.snapshot.sequence == sequence
+
+    cell_with(course, "{label='drift', calls='registration.reference_moved'}")
 
 
 def test_hand_where_nothing_may_move_is_reported_only() -> None:
@@ -226,6 +264,78 @@ def test_loss_of_a_source_calls_its_operation() -> None:
         await cell.until(lambda shown: shown.branches["robot"] == "0")
 
     cell_with(course, source="scene_events.sources.camera={user='tester', when_lost='robot.link_lost'}")
+
+
+def test_operation_that_ends_what_a_motion_requires_stops_it() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.sees["cable_out"] = {}
+        began = cell.clock.monotonic()
+        await cell.until(lambda shown: shown.latched and shown.branches["robot"] == "0")
+        assert cell.clock.monotonic() - began < 1.0, "it does not wait for the motion"
+        verdict = await moving
+        assert verdict.reason is not None
+        assert (verdict.reason.code, verdict.reason.fields["label"]) == ("scene_seen", "cable_out")
+
+    cell_with(course, "{label='cable_out', calls='robot.link_lost'}")
+
+
+def test_loss_that_ends_what_a_motion_requires_stops_it() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.silent = True
+        began = cell.clock.monotonic()
+        await cell.until(lambda shown: shown.latched and shown.branches["robot"] == "0")
+        assert cell.clock.monotonic() - began < 1.5
+        verdict = await moving
+        assert verdict.reason is not None
+        assert verdict.reason.code == "scene_lost"
+
+    cell_with(course, source="scene_events.sources.camera={user='tester', when_lost='robot.link_lost'}")
+
+
+def test_operation_that_no_motion_requires_stops_nothing() -> None:
+    async def course(cell: CellInSimulatedTime, detector: ScriptedDetector) -> None:
+        await prepare(cell)
+        moving = await approach(cell)
+        detector.sees["drift"] = {}
+        assert (await moving).decision == "accepted"
+
+    cell_with(course, "{label='drift', calls='alignment.outside'}")
+
+
+class LateClock(ManualClock):
+    """A clock of a loop that is held up each time."""
+
+    async def sleep(self, seconds: float) -> None:
+        await super().sleep(seconds + 2.0 * HELD_UP)
+
+
+async def test_silence_is_found_although_the_watch_is_always_late() -> None:
+    class Standing:
+        """A dispatcher of a cell in which nothing moves."""
+
+        procedure = Procedure(shipped_workflow("ratms"))
+        moving, only_retreats = False, True
+        barred: Reason | None = None
+        reported: ClassVar[list[DeviceEvent]] = []
+
+        def bar_motion(self, reason: Reason | None) -> None:
+            self.barred = reason
+
+        def report_later(self, event: DeviceEvent) -> None:
+            self.reported.append(event)
+
+    clock, dispatcher = LateClock(), Standing()
+    settings = SceneEventSettings({"camera": SceneSourceSettings()})
+    watch = asyncio.create_task(SceneWatch(settings, cast(Any, dispatcher), clock).run())
+    for _ in range(20):
+        await clock.advance(0.1)
+    watch.cancel()
+    assert [event.code for event in dispatcher.reported] == ["scene_lost"]
+    assert dispatcher.barred is not None
 
 
 def test_another_user_cannot_send_for_a_source() -> None:
