@@ -28,6 +28,7 @@ from pcmrs.errors import (
     ConfigurationError,
     DeviceError,
     PayloadError,
+    PcmrsError,
     RefusalError,
     UnknownOutcomeError,
 )
@@ -160,28 +161,31 @@ class Client:
             timeout: Longest wait for the outcome, s. The end of the daemon is detected at once, a hang within 1 s.
 
         Raises:
-            UnknownOutcomeError: The daemon became silent before it answered.
+            UnknownOutcomeError: The daemon became silent before it answered. Over a network, an error or a rejection on
+                the way of a repetition changes nothing about that: the first attempt may have run.
             PayloadError: The name is not a ``branch.operation``, or an argument cannot be sent.
+            DeviceError: The daemon answered the first attempt with an error.
             AccessError: The role of this user may send no commands: the bus drops them, without an answer.
         """
         key, envelope = self._command(name, arguments, id)
         end = self._clock.monotonic() + timeout
-        unknown: UnknownOutcomeError | None = None
+        unknown: PcmrsError | None = None
         while True:
             try:
                 left = max(end - self._clock.monotonic(), _RETRY_PERIOD)
                 verdict = await self._bus.request(key, envelope, Verdict, left)
-                denied = _denial(verdict)
-                if not denied or (unknown is None and denied != _OLD):
+                # Without an id it was rejected before the dispatcher, which alone knows about an earlier attempt.
+                if verdict.id or (unknown is None and _denial(verdict) != _OLD):
                     return verdict
-                # The denial does not tell the outcome of an earlier attempt; the next one may be fast enough.
-                patience = _TTL
-            except UnknownOutcomeError as error:
-                if not self._is_far:
-                    raise
+                patience = _TTL  # the next attempt may be fast enough
+            except PcmrsError as error:
+                is_unknown = isinstance(error, UnknownOutcomeError)
                 if unknown is None:
-                    await self._check_role()
-                unknown, patience = error, _FAR_REPLY_TIME
+                    if not (is_unknown and self._is_far):
+                        raise
+                    await self._check_role(end - self._clock.monotonic())
+                # An error reply to a repetition does not tell the outcome of an earlier attempt either.
+                unknown, patience = error if is_unknown else unknown, _FAR_REPLY_TIME
             end = min(end, self._clock.monotonic() + patience)
             if self._clock.monotonic() >= end:
                 if unknown is not None:
@@ -189,13 +193,23 @@ class Client:
                 return verdict
             await self._clock.sleep(_RETRY_PERIOD)
 
-    async def _check_role(self) -> None:
-        """Refuse a user whose commands the bus drops; a daemon that does not answer leaves the question open."""
-        with suppress(UnknownOutcomeError):
-            role = (await self.setup()).role
-            if role not in COMMANDING:
-                text = f"{self._user} is a {role} here, and sends no commands: {', '.join(COMMANDING)} do."
-                raise AccessError(text, user=self._user, role=role, why="role")
+    async def _check_role(self, left: float) -> None:
+        """Refuse a user whose commands the bus drops.
+
+        A daemon that does not answer, or answers with an error, leaves the question open: the command may have run.
+
+        Args:
+            left: Time that is left for the command, s.
+        """
+        if left <= 0.0:
+            return
+        try:
+            role = (await self.setup(min(self._patience, left))).role
+        except PcmrsError:
+            return
+        if role not in COMMANDING:
+            text = f"{self._user} is a {role} here, and sends no commands: {', '.join(COMMANDING)} do."
+            raise AccessError(text, user=self._user, role=role, why="role")
 
     def _command(self, name: str, arguments: Mapping[str, Any] | None, id: str | None) -> tuple[str, Envelope]:
         branch, dot, operation = name.partition(".")

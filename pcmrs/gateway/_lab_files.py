@@ -80,32 +80,44 @@ class LabFileWriter(DispatcherListener):
                 try:
                     await asyncio.to_thread(self._write_changed, data, when)
                 except OSError as error:
+                    file = error.filename2 or error.filename or self._folder
                     text = (
-                        f"{error.filename or self._folder} cannot be written ({error.strerror}): the lab's files are "
-                        "not those of the procedure. Make room or give rights; they are written with the next change."
+                        f"{file} cannot be written ({error.strerror}): the lab's files are not those of the procedure. "
+                        "Make room or give rights; they are written with the next change."
                     )
                     self._refusals.add("gateway", NOT_WRITTEN, text)
         finally:
             self._writing = False
 
     def _write_changed(self, data: PlacementData, when: datetime) -> None:
-        """Write the files whose text has changed; in a thread, one call at a time.
+        """Write the files whose text has changed, revocations first; in a thread, one call at a time.
 
         Raises:
-            OSError: A file cannot be read or written. Those before it are written.
+            OSError: The first file that cannot be read or written. All others are written.
         """
-        texts = procedure_texts(_lab_procedure(data), when)
+        texts, revoked = procedure_texts(_lab_procedure(data), when), {}
+        failures: list[OSError] = []
         for name in (REGISTRATION, TOOL_POSE):
             if name in texts:
                 texts[name] += IN_FORCE
-            elif (revoked := _revoked(self._folder / name)) is not None:
-                texts[name] = revoked
+                continue
+            try:
+                if (text := _revoked(self._folder / name)) is not None:
+                    revoked[name] = text
+            except OSError as error:
+                failures.append(error)
         if CLOUD in self._on_disk:
             texts.setdefault(CLOUD, "")
-        for name, text in texts.items():
+        for name, text in (revoked | texts).items():
             if self._on_disk.get(name) != text:
-                self._replace(name, text)
-                self._on_disk[name] = text
+                try:
+                    self._replace(name, text)
+                except OSError as error:
+                    failures.append(error)
+                else:
+                    self._on_disk[name] = text
+        if failures:
+            raise failures[0]
 
     def _replace(self, name: str, text: str) -> None:
         """Replace a file as a whole. Those who may read the folder may read it, whatever the mask of the daemon is.

@@ -74,7 +74,8 @@ class CommandStep:
         operation: Name of the operation.
         only_in: States of the branch in which it is submitted; None for all.
         not_while: Branch and state in which it is left out, if the workflow has them; None for nothing.
-        by_surgeon: True if its argument is the name of the surgeon, whom only the configuration knows.
+        by_surgeon: True if its argument is the name of the surgeon, whom only the configuration knows. A
+            signed peer needs the group `TREAT` for it.
     """
 
     branch: str
@@ -228,6 +229,9 @@ _SPECS = (
 COMMANDS = {spec.name: spec for spec in _SPECS}
 
 
+TREAT = "treat"
+"""Group that a signed peer also needs for steps `by_surgeon`, in whatever command they are."""
+
 GROUPS = {
     "read": ("get_jnt_angsxxxx", "get_eff_posexxxx"),
     "stream": ("start_visualizex", "stop_visualizexx", "tre_startcalcuxx", "tre_stopcalcuxxx"),
@@ -247,7 +251,7 @@ GROUPS = {
         "execute_motionxx", "execute_confirmx", "execute_backinit", "execute_bkoffset", "execute_homexxxx",
         "end_session_back", "adjust_tranxxxxx", "adjust_oriexxxxx", "locate_armxxxxxx",
     ),
-    "treat": ("grid_performxxxx",),
+    TREAT: ("grid_performxxxx",),
 }  # fmt: skip
 """Groups of commands by name; each command but Stop is in one."""
 

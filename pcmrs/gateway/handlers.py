@@ -179,6 +179,10 @@ NO_SURGEON = (
     "A string command carries no name, and only the surgeon can state this: set gateway.surgeon, or state it in the "
     "console or with `pcmrs call`."
 )
+NOT_FOR_SURGEON = (
+    "Only the surgeon can state this, and {peer!r} may not do so in the surgeon's name: state it in the console or "
+    'with `pcmrs call`, or list "treat" in gateway.peers.{peer}.allow if the surgeon stands beside this peer.'
+)
 
 PARTS = {
     Action.ANNOUNCE_LANDMARKS: PlanKind.LANDMARKS,
@@ -216,11 +220,13 @@ class CommandHandlers:
         asker: User of its commands, and their role.
         services: Services that all peers share.
         lock: Plan lock of the peer's host, or its own if it signs.
+        for_surgeon: True if it may state in the surgeon's name what only the surgeon can state.
     """
 
-    def __init__(self, source: str, asker: Principal, services: Services, lock: PlanLock) -> None:
+    def __init__(self, source: str, asker: Principal, services: Services, lock: PlanLock, *, for_surgeon: bool) -> None:
         self.source = source
         self._asker = asker
+        self._for_surgeon = for_surgeon
         self._services = services
         self._core = services.core
         self._lock = lock
@@ -373,6 +379,8 @@ class CommandHandlers:
                 return self.failed(request, "stopped")
             if step.by_surgeon and not self._services.surgeon:
                 return self.rejected(request, "no_surgeon", NO_SURGEON)
+            if step.by_surgeon and not self._for_surgeon:
+                return self.rejected(request, "not_allowed", NOT_FOR_SURGEON.format(peer=self._asker.user))
             given = {"surgeon": self._services.surgeon} if step.by_surgeon else arguments
             outcome, since = await self._operate(request, number, step.branch, step.operation, given, since)
             if outcome.decision != "accepted":

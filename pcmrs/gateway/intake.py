@@ -188,7 +188,7 @@ class Intake(DispatcherListener):
             self._services.streams.relay_tool_points(points_mm)
             return
         request = _as_meant(link, parse(data))
-        self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
+        self._session(source_of(link, peer), peer[0], ON_SITE, for_surgeon=True).receive(request, answer, arrived)
 
     def _receive_signed(
         self, link: str, sender: tuple[str, int], signed: Signed, answer: ReplyChannel, arrived: float
@@ -243,20 +243,23 @@ class Intake(DispatcherListener):
         """Begin a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
-        self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
+        session = self._session(peer.source, peer.source, peer.asker, for_surgeon=peer.for_surgeon)
+        session.receive(request, answer, arrived, refusal)
 
-    def _session(self, source: str, holder: str, asker: Principal) -> PeerSession:
+    def _session(self, source: str, holder: str, asker: Principal, *, for_surgeon: bool) -> PeerSession:
         """Session of a source, moved to the end of the order in which idle ones are forgotten."""
-        session = self._sessions.pop(source, None) or self._new_session(source, holder, asker)
+        session = self._sessions.pop(source, None)
+        if session is None:
+            lock = self.lock(holder)
+            session = self._new_session(CommandHandlers(source, asker, self._services, lock, for_surgeon=for_surgeon))
         self._sessions[source] = session
         return session
 
-    def _new_session(self, source: str, holder: str, asker: Principal) -> PeerSession:
+    def _new_session(self, actions: CommandHandlers) -> PeerSession:
         if len(self._sessions) >= MAX_SESSIONS:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
-        actions = CommandHandlers(source, asker, self._services, self.lock(holder))
         return PeerSession(actions, self._clock, self._tasks, self._outcomes, self._count_overflow)
 
     def _count(self, reason: str) -> None:

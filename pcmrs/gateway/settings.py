@@ -148,7 +148,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         stream_rate_hz: Rate of the pose streams.
         tip_rate_hz: Rate of the stream of the pointer tip; 5 as that of the public daemon, whose modules draw each one.
         surgeon: Name of the surgeon, who stands beside the panel: `session_reinitxx` records it where a workflow needs
-            the surgeon's statement that nothing is in the bone. Empty: string commands cannot state that.
+            the surgeon's statement that nothing is in the bone. A signed peer needs the group ``treat`` for that.
+            Empty: string commands cannot state that.
         openigtlink: The link with 3D Slicer.
         markers: Markers of what the procedure does, on Lab Streaming Layer.
         lab_files: Folder in which the daemon keeps the lab's YAML files of the procedure up to date, for modules and

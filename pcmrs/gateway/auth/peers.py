@@ -8,7 +8,7 @@ from pathlib import Path
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.commands import Action, Spec, allowed
+from pcmrs.gateway.commands import TREAT, Action, Spec, allowed
 from pcmrs.gateway.peer_session import ReplyChannel, Send
 from pcmrs.gateway.settings import UNIX_NS, PeerConfig
 from pcmrs.gateway.signing import Signed, read_key, sign_answer
@@ -62,6 +62,11 @@ class SignedPeer:
     def asker(self) -> Principal:
         """User of its commands, and their role."""
         return Principal(self.name, self._config.role)
+
+    @property
+    def for_surgeon(self) -> bool:
+        """True if it may state in the surgeon's name what only the surgeon can state."""
+        return TREAT in self._config.allow
 
     def accept(self, signed: Signed) -> None:
         """Accept a datagram as this peer's, and mark its counter as used.

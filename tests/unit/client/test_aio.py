@@ -5,16 +5,18 @@ import subprocess
 import sys
 import threading
 from contextlib import aclosing
+from typing import Any, cast
 
 import msgspec
 import pytest
 import zenoh
 
-from pcmrs.bus import Empty, _session
+from pcmrs.bus import Bus, BusSettings, Empty, _session
+from pcmrs.bus.commands import Envelope
 from pcmrs.bus.serving import payload_of
-from pcmrs.client import Client, Event
-from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError
-from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, StopState
+from pcmrs.client import Client, Event, _aio
+from pcmrs.errors import BusError, DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, StopState, Verdict
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session, snapshot
 from tests.unit.client.small_daemon import connected
 
@@ -241,3 +243,80 @@ async def test_only_the_local_user_may_leave_a_stop_unnamed() -> None:
         await client.acknowledge()
         (command,) = daemon.commands
         assert command.arguments == {}, "the daemon decides, which refuses it while the Stop is young"
+
+
+class FarBus:
+    """A bus over a network, with an error for the setup and one answer for each time that a command is sent."""
+
+    settings = BusSettings(endpoint="tls/far.example:7447")
+
+    def __init__(self, setup: PcmrsError, *answers: PcmrsError | Verdict) -> None:
+        self.setup, self.answers = setup, list(answers)
+        self.ids: list[str | None] = []
+        self.setup_timeouts: list[float] = []
+
+    async def request(self, key: str, message: Any, _: type[Any], timeout: float) -> Verdict:
+        if key.startswith("svc/setup"):
+            self.setup_timeouts.append(timeout)
+            raise self.setup
+        assert isinstance(message, Envelope)
+        self.ids.append(message.id)
+        answer = self.answers.pop(0) if self.answers else UNKNOWN
+        if isinstance(answer, PcmrsError):
+            raise answer
+        return msgspec.structs.replace(answer, id=message.id) if answer.id else answer
+
+    def client(self) -> Client:
+        bus = cast("Bus", self)
+        return Client(bus, bus, "anna")
+
+
+UNKNOWN = UnknownOutcomeError("No answer.")
+CONNECTED = Verdict(
+    id="of the command", branch="robot", operation="connect", decision="accepted", state="1", sequence=1
+)
+BUSY = msgspec.structs.replace(CONNECTED, id="", decision="rejected", reason=Reason(code="busy", text="Busy."))
+"""Rejection before the dispatcher: it has no id, and the daemon has not looked for an earlier verdict."""
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_aio, "_RETRY_PERIOD", 0.01)
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("setup", [DeviceError("No setup."), PayloadError("A later version."), UNKNOWN])
+async def test_no_setup_keeps_an_unknown_command_from_resending(setup: PcmrsError) -> None:
+    bus = FarBus(setup, UNKNOWN, CONNECTED)
+    assert (await bus.client().call("robot.connect", id="a")).decision == "accepted"
+    assert bus.ids == ["a", "a"]
+
+
+@pytest.mark.usefixtures("fast")
+async def test_the_question_for_the_role_keeps_the_timeout() -> None:
+    bus = FarBus(UNKNOWN)
+    with pytest.raises(UnknownOutcomeError):
+        await bus.client().call("robot.connect", timeout=0.2)
+    (timeout,) = bus.setup_timeouts
+    assert 0.0 < timeout <= 0.2
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("second", [DeviceError("It failed."), PayloadError("A later version."), BUSY])
+async def test_a_failed_resend_leaves_the_outcome_unknown(second: PcmrsError | Verdict) -> None:
+    """It tells nothing of the first attempt, which may have run."""
+    bus = FarBus(UNKNOWN, UNKNOWN, second, CONNECTED)
+    assert (await bus.client().call("robot.connect", id="a")).decision == "accepted"
+    bus = FarBus(UNKNOWN, UNKNOWN, second)
+    with pytest.raises(UnknownOutcomeError):
+        await bus.client().call("robot.connect", timeout=0.1)
+
+
+@pytest.mark.parametrize("first", [DeviceError("It failed."), PayloadError("A later version.")])
+async def test_an_error_reply_to_the_first_attempt_is_raised(first: PcmrsError) -> None:
+    bus = FarBus(UNKNOWN, first)
+    with pytest.raises(type(first)):
+        await bus.client().call("robot.connect")
+    assert len(bus.ids) == 1
+    bus = FarBus(UNKNOWN, BUSY)
+    assert (await bus.client().call("robot.connect")).decision == "rejected"

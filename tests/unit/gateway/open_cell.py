@@ -49,9 +49,10 @@ class Cell:
 
 
 @asynccontextmanager
-async def open_cell(folder: Path) -> AsyncIterator[Cell]:
+async def open_cell(folder: Path, surgeon: str = "") -> AsyncIterator[Cell]:
     client, replies, stream = await UdpClient.open(), await UdpClient.open(), await UdpClient.open()
     config = GatewayConfig(
+        surgeon=surgeon,
         planner=LinkConfig(port=0, reply_port=replies.port, stream_port=stream.port),
         robot=LinkConfig(port=0, reply_port=replies.port),
         visualization=LinkConfig(port=0, reply_port=replies.port, stream_port=stream.port),

@@ -38,9 +38,11 @@ def config(
     host: str = "127.0.0.1",
     reply_port: int | None = None,
     stream_port: int | None = None,
+    surgeon: str = "",
 ) -> GatewayConfig:
     return GatewayConfig(
         host=host,
+        surgeon=surgeon,
         planner=LinkConfig(port=0, reply_port=reply_port, stream_port=stream_port),
         robot=LinkConfig(),
         visualization=LinkConfig(),
@@ -95,13 +97,13 @@ class Room:
 
 @asynccontextmanager
 async def open_room(
-    folder: Path, peers: dict[str, PeerConfig], host: str = "0.0.0.0", *, stream: bool = False
+    folder: Path, peers: dict[str, PeerConfig], host: str = "0.0.0.0", *, stream: bool = False, surgeon: str = ""
 ) -> AsyncIterator[Room]:
     """With `stream`, the client also gets what is sent to the planner's stream port."""
     client, replies = await UdpClient.open(), await UdpClient.open()
     core, clock = FakeCore(), ManualClock()
     async with open_gateway(
-        core, config(peers, host, replies.port, client.port if stream else None), clock, folder
+        core, config(peers, host, replies.port, client.port if stream else None, surgeon), clock, folder
     ) as gateway:
         yield Room(core, clock, gateway, client, replies, folder)
         core.open_gates()

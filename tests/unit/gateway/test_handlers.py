@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.handlers import PAIR_WINDOW, NumberedSeries, PlanLock, PosePair
 from tests.unit.gateway.gateway_fakes import CONFIRMED, UdpClient, pass_look
-from tests.unit.gateway.open_cell import pass_barrier
+from tests.unit.gateway.open_cell import open_cell, pass_barrier
 
 
 async def plan_pose(cell: Any) -> None:
@@ -232,6 +233,14 @@ async def test_session_reinit_says_nothing_of_a_bone_without_a_surgeon(cell: Any
     cell.core.branches["treatment"] = "ready"
     await cell.ask("session_reinitxx_#2;")
     assert cell.core.operations == ["reinit", "reinit"]
+
+
+async def test_the_panel_on_site_speaks_for_the_surgeon(tmp_path: Path) -> None:
+    async with open_cell(tmp_path, surgeon="A. Surgeon") as cell:
+        cell.core.branches["treatment"] = "unknown"
+        assert (await cell.ask("session_reinitxx_#1;")).startswith("1_accepted")
+        (command,) = cell.core.commands
+        assert (command.operation, command.arguments) == ("confirm_clear", {"surgeon": "A. Surgeon"})
 
 
 GRID = [[0.01, 0.02, 0.1, 0.0, 0.0, 0.0, 1.0], [0.02, 0.02, 0.1, 0.0, 0.0, 0.0, 1.0]]

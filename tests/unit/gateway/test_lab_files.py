@@ -231,6 +231,38 @@ async def test_what_cannot_be_written_is_reported_and_written_later(tmp_path: Pa
         np.testing.assert_allclose(fre_mm(writer), ERRORS_MM, atol=1e-9)
 
 
+async def test_a_file_that_fails_keeps_no_other_from_its_truth(tmp_path: Path) -> None:
+    async with a_writer(tmp_path) as writer:
+        writer.change(registered())
+        await writer.settle()
+        (tmp_path / "landmarkdig.yaml").unlink()
+        (tmp_path / "landmarkdig.yaml").mkdir()
+        points = (DIGITIZED[0], None, None, None)
+        writer.change(msgspec.structs.replace(PLANNED_DATA, digitized=points, surface=SURFACE))
+        await writer.settle()
+        assert writer.content("reg.yaml")["IN_FORCE"] == 0
+        assert writer.content("icpdig.yaml"), "it is written after the one that fails"
+        (event,) = writer.core.events
+        assert event.text.startswith(f"{tmp_path / 'landmarkdig.yaml'} cannot be written (Is a directory)")
+
+
+async def test_revocations_are_written_before_all_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    replace = LabFileWriter._replace
+
+    def note(self: LabFileWriter, name: str, text: str) -> None:
+        order.append(name)
+        replace(self, name, text)
+
+    async with a_writer(tmp_path) as writer:
+        writer.change(msgspec.structs.replace(registered(), plan=as_message(PLAN)))
+        await writer.settle()
+        monkeypatch.setattr(LabFileWriter, "_replace", note)
+        writer.change(PlacementData(landmarks=LANDMARKS[:3], digitized=(None,) * 3))
+        await writer.settle()
+    assert order == ["reg.yaml", "toolpose.yaml", "landmarkplan.yaml", "landmarkdig.yaml"]
+
+
 def config(folder: Path) -> GatewayConfig:
     none = LinkConfig()
     return GatewayConfig(

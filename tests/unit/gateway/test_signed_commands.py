@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from pcmrs.gateway.commands import DEFAULT
 from pcmrs.gateway.signing import Signer
 from pcmrs.planner import Planner
 from pcmrs.testing.clock import settle
@@ -117,6 +118,25 @@ async def test_a_peer_may_do_what_is_listed_and_always_stop(tmp_path: Path) -> N
         assert room.core.stops == ["peer:planner"]
         assert room.gateway.counters.of_peers["not_allowed"] == 1
         assert "not_allowed" in told(room)
+
+
+async def test_only_a_peer_that_may_treat_speaks_for_the_surgeon(tmp_path: Path) -> None:
+    peers = {
+        "planner": peer(tmp_path, "planner", allow=DEFAULT),
+        "listed": peer(tmp_path, "listed", allow=("session_reinitxx", "grid_performxxxx")),
+        "panel": peer(tmp_path, "panel", allow=(*DEFAULT, "treat")),
+    }
+    async with open_room(tmp_path, peers, surgeon="A. Surgeon") as room:
+        room.core.branches["treatment"] = "unknown"
+        for name in ("planner", "listed"):
+            assert (await room.ask("session_reinitxx_#1;", name)).endswith("_not_allowed;")
+        assert room.core.commands == []
+        assert any('"treat" in gateway.peers.planner.allow' in event.text for event in room.core.events)
+        assert (await room.ask("session_reinitxx_#1;", "panel")).startswith("1_accepted")
+        (command,) = room.core.commands
+        assert (command.operation, command.arguments) == ("confirm_clear", {"surgeon": "A. Surgeon"})
+        room.core.branches["treatment"] = "ready"
+        assert (await room.ask("session_reinitxx_#2;")).startswith("2_accepted"), "nothing is stated then"
 
 
 async def test_daemon_gets_the_user_and_role_of_a_peer(tmp_path: Path) -> None:
