@@ -19,7 +19,17 @@ from pcmrs.files import SECRET, sha256_of, write_durably
 from pcmrs.journal import verify
 from pcmrs.journal.keys import PRIVATE
 from pcmrs.journal.verification import Progress
-from pcmrs.maintenance._copying import check_room, copy_folder, files_in, links_in, make_new, settle, size_of, sync
+from pcmrs.maintenance._copying import (
+    check_room,
+    copy_folder,
+    files_in,
+    links_in,
+    make_new,
+    settle,
+    size_of,
+    sync,
+    unfinished,
+)
 from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format, not_a_cell
 from pcmrs.maintenance._formats import RECORDINGS
 from pcmrs.messages import Message
@@ -111,7 +121,7 @@ def back_up(
     leave_out = SECRETS | (frozenset() if recordings else {RECORDINGS})
     _check(folder, target)
     check_room(target, size_of(folder, leave_out))
-    part = target.with_name(f"{target.name}.part")
+    part = unfinished(target)
     make_new(part)
     try:
         copy_folder(folder, part, leave_out=leave_out)
@@ -194,7 +204,7 @@ def _check(folder: Path, target: Path) -> None:
         raise ConfigurationError(text, file=str(key))
     if target.exists():
         raise ConfigurationError(f"{target} exists already: give another name.", file=str(target))
-    if target.absolute().is_relative_to(folder.absolute()):
+    if target.resolve().is_relative_to(folder.resolve()):
         text = f"{target} is in the folder that it would be a copy of: give a place outside, best on another disk."
         raise ConfigurationError(text, file=str(target))
 

@@ -98,6 +98,11 @@ def size_of(folder: Path, leave_out: frozenset[str] = frozenset()) -> int:
     return sum(path.stat().st_size for path in files_in(folder) if path.relative_to(folder).parts[0] not in leave_out)
 
 
+def unfinished(folder: Path) -> Path:
+    """Return the folder beside one in which its copy is made: a name that no person gives, since it may be removed."""
+    return folder.with_name(f".{folder.name}.pcmrs-unfinished")
+
+
 def make_new(folder: Path) -> None:
     """Make a private folder for an unfinished copy; an earlier unfinished one is removed. Raises `OSError`."""
     shutil.rmtree(folder, ignore_errors=True)

@@ -19,7 +19,7 @@ from pcmrs.journal.rows import encode_row
 from pcmrs.journal.verification import Progress
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.maintenance._backup import CONFIGURATION, Manifest, read_backup
-from pcmrs.maintenance._copying import check_room, files_in, make_new, settle, size_of, sync
+from pcmrs.maintenance._copying import check_room, files_in, make_new, settle, size_of, sync, unfinished
 from pcmrs.maintenance._folder import JOURNALS, MANIFEST, later_format, write_format
 from pcmrs.messages import Message
 
@@ -61,11 +61,14 @@ def restore(backup: Path, folder: Path, progress: Progress | None = None) -> Res
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         text = f"{folder} is not empty, and nothing in it is replaced: give another folder, or move this one away."
         raise ConfigurationError(text, folder=str(folder))
+    if folder.resolve().is_relative_to(backup.resolve()):
+        text = f"{folder} is in the backup, which would be changed by that: give a place outside."
+        raise ConfigurationError(text, folder=str(folder))
     manifest = read_backup(backup)
     if later := later_format(backup):
         raise ConfigurationError(later, folder=str(backup))
     check_room(folder, size_of(backup, _NOT_COPIED))
-    part = folder.with_name(f"{folder.name}.part")
+    part = unfinished(folder)
     make_new(part)
     try:
         _copy(backup, part)

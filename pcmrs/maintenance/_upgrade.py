@@ -20,7 +20,7 @@ from pcmrs.journal.reader import LARGEST
 from pcmrs.journal.schema import VERSION
 from pcmrs.journal.verification import Progress
 from pcmrs.journal.writer import JournalWriter
-from pcmrs.maintenance._copying import check_room, copy_folder, exchange, make_new, settle, size_of, sync
+from pcmrs.maintenance._copying import check_room, copy_folder, exchange, make_new, settle, size_of, sync, unfinished
 from pcmrs.maintenance._folder import JOURNALS, hold_folder, not_a_cell, write_format
 from pcmrs.maintenance._formats import RECORDINGS, FileFormat, check_folder
 from pcmrs.messages import Message
@@ -71,7 +71,7 @@ def upgrade_folder(
             raise _refused(folder, {file.file: file.text for file in found.refused})
         if found.action == "use":
             return UpgradeReport(folder=str(folder), upgraded=(), kept=str(kept) if finished else None)
-        copy = _copy_of(folder)
+        copy = unfinished(folder)
         try:
             _make_upgraded(folder, copy, progress)
         except BaseException:
@@ -83,10 +83,6 @@ def upgrade_folder(
         _finish(folder, kept)
         old = tuple(file for file in found.files if file.action == "upgrade")
         return UpgradeReport(folder=str(folder), upgraded=old, kept=str(kept))
-
-
-def _copy_of(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.upgrading")
 
 
 def _make_upgraded(folder: Path, copy: Path, progress: Progress | None) -> None:
@@ -136,7 +132,7 @@ def _finish(folder: Path, kept: Path) -> bool:
     Returns:
         True if the old folder has got its name `kept` now.
     """
-    beside = _copy_of(folder)
+    beside = unfinished(folder)
     exchanged = beside.is_dir() and not (beside / _UNFINISHED).exists() and (folder / _UNFINISHED).exists()
     if exchanged:
         beside.rename(kept)

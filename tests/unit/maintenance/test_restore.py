@@ -80,3 +80,28 @@ def test_a_folder_of_a_later_version_is_not_restored(present: Lab, tmp_path: Pat
     with pytest.raises(PcmrsError, match=r"PCMRS 9\.1 wrote it"):
         restore(tmp_path / "copy", tmp_path / "restored")
     assert not (tmp_path / "restored").exists()
+
+
+def test_nothing_is_restored_into_the_backup(present: Lab, tmp_path: Path) -> None:
+    """The backup was changed by that, and could not be used again."""
+    back_up(present.cell, tmp_path / "copy", NOW)
+    before = contents(tmp_path / "copy")
+    with pytest.raises(ConfigurationError, match="is in the backup"):
+        restore(tmp_path / "copy", tmp_path / "copy" / "restored")
+    assert contents(tmp_path / "copy") == before
+
+
+def test_a_folder_beside_the_restored_one_stays(present: Lab, tmp_path: Path) -> None:
+    back_up(present.cell, tmp_path / "copy", NOW)
+    (tmp_path / "restored.part").mkdir()
+    (tmp_path / "restored.part" / "notes.txt").write_text("mine")
+    restore(tmp_path / "copy", tmp_path / "restored")
+    assert (tmp_path / "restored.part" / "notes.txt").read_text() == "mine"
+
+
+def test_no_backup_is_made_in_the_cell_by_another_name(present: Lab, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(present.cell)
+    before = contents(present.cell)
+    with pytest.raises(ConfigurationError, match="is in the folder that it would be a copy of"):
+        back_up(present.cell, tmp_path / "link" / "inside", NOW)
+    assert contents(present.cell) == before

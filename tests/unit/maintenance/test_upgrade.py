@@ -154,7 +154,7 @@ def test_files_that_cannot_grow_change_nothing(first: Lab, largest: int) -> None
 )
 def test_a_full_disk_at_any_file_changes_nothing(first: Lab, name: str, call: str) -> None:
     before = contents(first.folder)
-    place = first.folder / "cell.upgrading" / name
+    place = first.folder / ".cell.pcmrs-unfinished" / name
     inject = ["-e", f"trace={call}", "-e", f"inject={call}:error=ENOSPC:when=1", "-P", str(place)]
     words = ["strace", "-f", "--seccomp-bpf", "-qq", "-o", str(first.folder.with_name("calls")), *inject]
     failed = upgrade_process(first, prefix=words)
