@@ -9,7 +9,7 @@ from pcmrs.messages.scene_event import SceneEvent
 from pcmrs.scene.settings import SceneRuleSettings
 
 MOST_OBJECTS: Final = 64
-"""Limit of objects that are told apart at a time. All others count as one, so that no source fills the memory."""
+"""Limit of objects that are distinguished at a time. All others count as one, so that no source fills the memory."""
 
 Key = tuple[str, str, int | None] | None
 

@@ -142,7 +142,7 @@ class SceneWatch:
         self._dispatcher.bar_motion(reason)
         dispatcher, latched = self._dispatcher, self._dispatcher.procedure.latched
         if reason is not None and not latched and dispatcher.moving and not dispatcher.only_retreats:
-            self._tell(DeviceEvent(device="scene", code=reason.fields["cause"], text=reason.text, danger=True), None)
+            self._report(DeviceEvent(device="scene", code=reason.fields["cause"], text=reason.text, danger=True), None)
 
     def _begin(self, rule: SceneRuleSettings, event: SceneEvent, *, first: bool) -> None:
         """Do what a rule calls, at the event by which its label, or another object with it, has become present.
@@ -170,7 +170,7 @@ class SceneWatch:
             device=f"scene:{event.source}", code=INTRUSION if stops else SEEN, text=text, danger=danger, fields=fields
         )
         if danger or first:
-            self._tell(shown, call)
+            self._report(shown, call)
 
     def _on_loss(self, source: _Source) -> None:
         calls = source.liveness.settings.when_lost
@@ -190,7 +190,7 @@ class SceneWatch:
             },
         )
         log.warning(LOST, **event.fields)
-        self._tell(event, call)
+        self._report(event, call)
 
     def _on_return(self, source: _Source) -> None:
         text = f"The source {source.name} of scene events sends new frames again."
@@ -229,7 +229,7 @@ class SceneWatch:
         # It is rejected at once, unless a motion that runs takes its branch to a state that allows it.
         return self._dispatcher.moving and call.branch in self._may_move.required
 
-    def _tell(self, event: DeviceEvent, call: Command | None) -> None:
+    def _report(self, event: DeviceEvent, call: Command | None) -> None:
         """Report an event, and submit the operation that it calls; danger stops everything first."""
         if event.danger:
             self._dispatcher.begin_stop_for(event, lambda: [] if call is None else [self._dispatcher.admit(call)])

@@ -14,7 +14,13 @@ RULE = SceneRuleSettings(label="hand", least_confidence=0.6, hysteresis=0.2, las
 
 
 def seen(confidence: float = 0.9, **fields: Any) -> SceneEvent:
-    values = {"source": "camera", "label": "hand", "captured": 1.0, "sent": 1.0, "session": "s"} | fields
+    values: dict[str, Any] = {
+        "source": "camera",
+        "label": "hand",
+        "captured": 1.0,
+        "sent": 1.0,
+        "session": "s",
+    } | fields
     return SceneEvent(confidence=confidence, **values)
 
 
