@@ -23,13 +23,14 @@ _LONGEST: Final = 64 * 1024
 """Longest secret, bytes."""
 
 
-def write_durably(path: Path, content: bytes, *, mode: int) -> None:
+def write_durably(path: Path, content: bytes, *, mode: int, masked: bool = True) -> None:
     """Write a file that gets its name only once its whole content is on the disk.
 
     Args:
         path: Path of the file.
         content: Whole content.
         mode: Mode of the file, such as `SECRET`.
+        masked: False to give the file this mode whatever the mask of the process is.
 
     Raises:
         OSError: The file cannot be written.
@@ -39,6 +40,8 @@ def write_durably(path: Path, content: bytes, *, mode: int) -> None:
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
         with os.fdopen(descriptor, "wb") as file:
+            if not masked:
+                os.fchmod(file.fileno(), mode)
             file.write(content)
         publish(part, path)
     except OSError:

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
+import stat
+import threading
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from pathlib import Path
+from typing import IO
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
@@ -12,6 +20,7 @@ from pcmrs.dispatcher import DispatcherListener
 from pcmrs.files import SECRET, write_durably
 from pcmrs.formats.lab_files import CLOUD, REGISTRATION, TOOL_POSE, LabProcedure, procedure_texts
 from pcmrs.formats.lab_text import IN_FORCE, REVOKED
+from pcmrs.formats.reading import MAX_TEXT_BYTES
 from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
@@ -22,11 +31,19 @@ OTHERS_READ = 0o044
 NOT_WRITTEN = "lab_files_not_written"
 """Reason of the report that a file could not be written."""
 
+STUCK = "lab_files_stuck"
+"""Reason of the report that writing does not end."""
+STUCK_AFTER = 5.0
+"""Time after which writing counts as stuck, s."""
+
 Parts = tuple[object, object, object, object, object]
 
 
 class LabFileWriter(DispatcherListener):
     """Writer of each file, whole, in a thread, when what it holds has changed; the newest data wins.
+
+    A folder on a share that hangs blocks the thread for any time. So it is a daemon thread: the loop's default threads
+    would keep the process from ending.
 
     A file stays when its data is gone, as in the lab's software: registration and tool pose then say that they are
     revoked, and the points of the surface are emptied. A file that cannot be written is reported, and written with the
@@ -77,17 +94,41 @@ class LabFileWriter(DispatcherListener):
             while self._written is not self._seen:
                 self._written = self._seen
                 data, when = self._core.data(), datetime.fromtimestamp(self._planned_at)
-                try:
-                    await asyncio.to_thread(self._write_changed, data, when)
-                except OSError as error:
-                    file = error.filename2 or error.filename or self._folder
-                    text = (
-                        f"{file} cannot be written ({error.strerror}): the lab's files are not those of the procedure. "
-                        "Make room or give rights; they are written with the next change."
-                    )
-                    self._refusals.add("gateway", NOT_WRITTEN, text)
+                error = await self._outcome(_in_thread(partial(self._write_changed, data, when)))
+                if isinstance(error, OSError):
+                    self._report_failure(error)
+                elif error is not None:
+                    raise error
         finally:
             self._writing = False
+
+    async def _outcome(self, written: asyncio.Future[Exception | None]) -> Exception | None:
+        """Wait for the end of a write, and report once that it does not come; return its error."""
+        try:
+            with suppress(TimeoutError):
+                async with self._clock.timeout(STUCK_AFTER):
+                    return await asyncio.shield(written)
+        except asyncio.CancelledError:
+            if not written.done():
+                self._report_stuck("when the daemon ended")
+            raise
+        self._report_stuck(f"for {STUCK_AFTER:g} s")
+        return await written
+
+    def _report_stuck(self, when: str) -> None:
+        text = (
+            f"{self._folder} has not been written {when}: the lab's files may not be those of the procedure, and may "
+            "say that what is revoked is in force. Check its disk or network share."
+        )
+        self._refusals.add("gateway", STUCK, text)
+
+    def _report_failure(self, error: OSError) -> None:
+        file = error.filename2 or error.filename or self._folder
+        text = (
+            f"{file} cannot be read or replaced ({error.strerror}): the lab's files are not those of the procedure. "
+            "Make room or give rights; they are written with the next change."
+        )
+        self._refusals.add("gateway", NOT_WRITTEN, text)
 
     def _write_changed(self, data: PlacementData, when: datetime) -> None:
         """Write the files whose text has changed, revocations first; in a thread, one call at a time.
@@ -125,20 +166,55 @@ class LabFileWriter(DispatcherListener):
         Raises:
             OSError: It cannot be written.
         """
-        whole = self._folder / f".{name}"
-        write_durably(whole, text.encode("utf-8"), mode=SECRET)
-        whole.chmod(SECRET | self._folder.stat().st_mode & OTHERS_READ)
-        whole.replace(self._folder / name)
+        mode = SECRET | self._folder.stat().st_mode & OTHERS_READ
+        write_durably(self._folder / name, text.encode("utf-8"), mode=mode, masked=False)
+
+
+def _in_thread(work: Callable[[], None]) -> asyncio.Future[Exception | None]:
+    """Run a function in its own daemon thread; the future gets its error, or None."""
+    loop = asyncio.get_running_loop()
+    ended: asyncio.Future[Exception | None] = loop.create_future()
+
+    def settle(error: Exception | None) -> None:
+        if not ended.done():
+            ended.set_result(error)
+
+    def run() -> None:
+        error = None
+        try:
+            work()
+        except Exception as raised:
+            error = raised
+        with suppress(RuntimeError):  # the loop has been closed meanwhile
+            loop.call_soon_threadsafe(settle, error)
+
+    threading.Thread(target=run, name="pcmrs-lab-files", daemon=True).start()
+    return ended
 
 
 def _revoked(path: Path) -> str | None:
     """Return the text of a file that says it is in force, with the opposite; None for another file, or none.
 
+    Others may write into the folder. A link there may lead to a secret, and a pipe blocks its reader.
+
     Raises:
-        OSError: It cannot be read.
+        OSError: It cannot be read, is no regular file, or is larger than any file of the lab.
     """
-    text = path.read_text("utf-8", errors="replace") if path.exists() else ""
+    try:
+        with _opened(path) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, "not a regular file", str(path))
+            content = file.read(MAX_TEXT_BYTES + 1)
+    except FileNotFoundError:
+        return None
+    if len(content) > MAX_TEXT_BYTES:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    text = content.decode("utf-8", errors="replace")
     return text.removesuffix(IN_FORCE) + REVOKED if text.endswith(IN_FORCE) else None
+
+
+def _opened(path: Path) -> IO[bytes]:
+    return open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK))
 
 
 def _parts(data: PlacementData) -> Parts:

@@ -49,6 +49,16 @@ def test_content_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypat
     assert order == [("table.part", False), (tmp_path.name, True)]
 
 
+@pytest.mark.parametrize(("masked", "mode"), [(True, 0o600), (False, 0o644)])
+def test_the_mask_counts_unless_told_otherwise(tmp_path: Path, masked: bool, mode: int) -> None:
+    before = os.umask(0o077)
+    try:
+        write_durably(tmp_path / "table", b"new", mode=0o644, masked=masked)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "table").stat().st_mode & 0o777 == mode
+
+
 def test_rest_of_an_interrupted_write_is_replaced(tmp_path: Path) -> None:
     """Even one that others could read: the secret gets a new file."""
     (tmp_path / "key.part").write_bytes(b"half")

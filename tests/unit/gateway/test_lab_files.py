@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
+import subprocess
+import sys
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -18,19 +20,27 @@ import yaml
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import keep_private
-from pcmrs.gateway._lab_files import NOT_WRITTEN, LabFileWriter
+from pcmrs.files import keep_private, write_durably
+from pcmrs.formats.lab_text import IN_FORCE
+from pcmrs.formats.reading import MAX_TEXT_BYTES
+from pcmrs.gateway import _lab_files
+from pcmrs.gateway._lab_files import NOT_WRITTEN, STUCK, STUCK_AFTER, LabFileWriter
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.spatial import Floats, Transform
+from pcmrs.testing.clock import ManualClock as SteppedClock
+from pcmrs.testing.clock import settle
 from pcmrs.workflows.data import Landmark, PlacementData, Point, Registered, as_message, as_point
+from tests import ROOT
 from tests.unit.gateway.gateway_fakes import WITHIN, FakeCore, ManualClock
 
 REG = Transform.from_rotvec((0.08, -0.03, -0.23), (0.4, 1.1, -0.7))
 PLAN = Transform.from_rotvec((0.02, 0.05, 0.11), (0.1, -0.6, 0.3))
 PLANNED: tuple[Point, ...] = ((0.004, 0.086, 0.04), (-0.046, 0.069, 0.035), (-0.079, -0.008, 0.019), (0.09, 0.0, 0.02))
 LANDMARKS = tuple(Landmark(f"landmark {index}", point) for index, point in enumerate(PLANNED))
+ENDS_WITHIN = 40.0
+"""Longest run of a program that ends by itself, s."""
 ERRORS_MM = (1.0, 2.0, 0.5, 3.0)
 DIGITIZED = tuple(
     as_point((REG @ np.array(point)) + (0.0, 0.0, error / 1000.0))
@@ -59,10 +69,10 @@ class Writer:
     """The writer before a fake daemon, with its folder."""
 
     def __init__(self, folder: Path) -> None:
-        self.core, self.folder = FakeCore(), folder
+        self.core, self.folder, self.clock = FakeCore(), folder, SteppedClock()
         self.tasks, self.reports = BackgroundTasks(), BackgroundTasks()
         refusals = RejectionLog(self.core, ManualClock(), self.reports)
-        self.writer = LabFileWriter(self.core, ManualClock(), folder, self.tasks, refusals)
+        self.writer = LabFileWriter(self.core, self.clock, folder, self.tasks, refusals)
         self.core.add_listener(self.writer)
         self.writer.start()
 
@@ -231,6 +241,119 @@ async def test_what_cannot_be_written_is_reported_and_written_later(tmp_path: Pa
         np.testing.assert_allclose(fre_mm(writer), ERRORS_MM, atol=1e-9)
 
 
+async def test_a_stuck_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sync, stuck, started = os.fsync, threading.Event(), threading.Event()
+
+    def wait(descriptor: int) -> None:
+        started.set()
+        stuck.wait(WITHIN)
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", wait)
+    async with a_writer(tmp_path) as writer:
+        writer.change(PLANNED_DATA)
+        assert await asyncio.to_thread(started.wait, WITHIN)
+        await settle()
+        assert writer.core.events == []
+        await writer.clock.advance(STUCK_AFTER)
+        await settle()
+        (event,) = writer.core.events
+        assert event.fields["reason"] == STUCK
+        assert f"{tmp_path} has not been written for 5 s" in event.text
+        stuck.set()
+        await writer.settle()
+        assert writer.content("landmarkplan.yaml")["NUM"] == len(PLANNED)
+        assert len(writer.core.events) == 1
+
+
+async def test_an_end_during_a_write_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck, started = threading.Event(), threading.Event()
+
+    def wait(_: int) -> None:
+        started.set()
+        stuck.wait(WITHIN)
+
+    monkeypatch.setattr(os, "fsync", wait)
+    async with a_writer(tmp_path) as writer:
+        writer.change(PLANNED_DATA)
+        assert await asyncio.to_thread(started.wait, WITHIN)
+        await settle()
+        await writer.tasks.close()
+        (event,) = writer.core.events
+        assert event.fields["reason"] == STUCK
+        stuck.set()
+
+
+STUCK_PROGRAM = """
+import asyncio, os, sys, time
+from pathlib import Path
+from pcmrs.clock import SystemClock
+from pcmrs.gateway.links import open_gateway
+from tests.unit.gateway.gateway_fakes import FakeCore
+from tests.unit.gateway.test_lab_files import config, registered
+
+async def main(folder):
+    core = FakeCore()
+    async with open_gateway(core, config(folder / "lab"), SystemClock(), folder):
+        core.placement_data = registered()
+        core.publish(core.snapshot())
+
+os.fsync = lambda _: time.sleep(1000.0)
+asyncio.run(main(Path(sys.argv[1])))
+"""
+
+
+def test_a_stuck_disk_does_not_keep_the_process_from_ending(tmp_path: Path) -> None:
+    program = [sys.executable, "-c", STUCK_PROGRAM, str(tmp_path)]
+    subprocess.run(program, cwd=ROOT, check=True, timeout=ENDS_WITHIN)
+
+
+def a_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def a_link(path: Path) -> None:
+    other = path.with_name("other.yaml")
+    other.write_text(f"secret: 1\n{IN_FORCE}")
+    path.symlink_to(other)
+
+
+def a_large_file(path: Path) -> None:
+    path.write_text(" " * MAX_TEXT_BYTES + IN_FORCE)
+
+
+@pytest.mark.parametrize("put", [a_pipe, a_link, a_large_file])
+async def test_what_no_daemon_has_written_is_not_read(tmp_path: Path, put: Callable[[Path], None]) -> None:
+    put(tmp_path / "reg.yaml")
+    before = (tmp_path / "reg.yaml").lstat()
+    async with a_writer(tmp_path) as writer:
+        writer.change(PLANNED_DATA)
+        await writer.settle()
+        assert writer.content("landmarkplan.yaml")["NUM"] == len(PLANNED)
+        assert (tmp_path / "reg.yaml").lstat() == before
+        assert {event.fields["reason"] for event in writer.core.events} == {NOT_WRITTEN}
+        assert "reg.yaml cannot be read or replaced" in writer.core.events[0].text
+
+
+async def test_a_link_gives_nobody_the_rights_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Someone who may write into the folder exchanges a file for a link as soon as it is there."""
+    folder, secret = tmp_path / "lab", tmp_path / "secret"
+    folder.mkdir(mode=0o777)
+    secret.write_text("key")
+    secret.chmod(0o600)
+
+    def exchange(path: Path, *arguments: Any, **options: Any) -> None:
+        write_durably(path, *arguments, **options)
+        path.unlink()
+        path.symlink_to(secret)
+
+    monkeypatch.setattr(_lab_files, "write_durably", exchange)
+    async with a_writer(folder) as writer:
+        writer.change(PLANNED_DATA)
+        await writer.settle()
+    assert mode_of(secret) == 0o600
+
+
 async def test_a_file_that_fails_keeps_no_other_from_its_truth(tmp_path: Path) -> None:
     async with a_writer(tmp_path) as writer:
         writer.change(registered())
@@ -243,7 +366,7 @@ async def test_a_file_that_fails_keeps_no_other_from_its_truth(tmp_path: Path) -
         assert writer.content("reg.yaml")["IN_FORCE"] == 0
         assert writer.content("icpdig.yaml"), "it is written after the one that fails"
         (event,) = writer.core.events
-        assert event.text.startswith(f"{tmp_path / 'landmarkdig.yaml'} cannot be written (Is a directory)")
+        assert event.text.startswith(f"{tmp_path / 'landmarkdig.yaml'} cannot be read or replaced (Is a directory)")
 
 
 async def test_revocations_are_written_before_all_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
