@@ -122,6 +122,9 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     for child in operation.sets:
         if child not in blueprint.children[branch]:
             yield f"sets {child}, which is not a child of {branch}."
+    for revoked in {revoked: None for ending in operation.outcomes.values() for revoked in ending.diverted}:
+        if revoked not in (other for other, _ in blueprint.revocations_by.get(branch, ())):
+            yield f"has `revoked_to` without effect: no revocation of {revoked} names {branch} in `by`."
 
 
 def _hazards(spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:

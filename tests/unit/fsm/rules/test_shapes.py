@@ -34,6 +34,14 @@ FAULTS: dict[str, Fault] = {
         "`outcomes`",
         "operations.move",
     ),
+    "diverts a revocation that there is not": (
+        '[branches.side.operations.withdraw]\nfrom = ["near", "held"]\nto = "safe"',
+        '[branches.side.operations.withdraw]\nfrom = ["near", "held"]\n'
+        'outcomes = { all = { to = "safe", revoked_to = { top = "00" } } }',
+        "bad_operation",
+        "no revocation of top names side",
+        "side.operations.withdraw",
+    ),
     "no time": ("motion =", "timeout_s = 0\nmotion =", "bad_operation", "timeout_s = 0", "operations.move"),
     "time is no number": ("motion =", "timeout_s = nan\nmotion =", "bad_operation", "nan", "operations.move"),
     "time without end": ("motion =", "timeout_s = inf\nmotion =", "bad_operation", "inf", "operations.move"),

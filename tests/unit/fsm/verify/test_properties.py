@@ -93,12 +93,18 @@ def contradicts(spec: PropertySpec, trace: CommandTrace) -> bool:
     return holds(spec.when, trace) and other
 
 
+def revoke_by_registration_only(branches: dict[str, Any]) -> None:
+    branches["placement"]["revocations"][0]["by"] = ["registration"]
+    for name in ("plan", "use_previous"):
+        branches["toolplan"]["operations"][name]["outcomes"]["replanned"].pop("revoked_to")
+
+
 READY = {"approach_only_when_ready", "at_the_body_only_when_ready"}
 BACK_OFF = "back_off"
 BROKEN = {
     "approach without its requirement": (without("placement", "approach", "requires"), READY, 3),
     "toolplan revokes nothing": (
-        revoked(by=["registration"]),
+        changed(revoke_by_registration_only),
         {"at_the_body_only_when_ready", "engaged_only_when_guided"},
         6,
     ),
