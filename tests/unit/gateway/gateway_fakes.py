@@ -126,7 +126,7 @@ class FakeCore:
     def joints(self) -> list[float] | None:
         return [0.1 * index for index in range(7)]
 
-    def remember_initial_joints(self) -> list[float] | None:
+    async def remember_initial_joints(self) -> list[float] | None:
         return None
 
     def flange_pose(self) -> Transform | None:
