@@ -102,7 +102,7 @@ def test_the_first_segment_counts_from_where_the_arm_is(force: TorqueForce, join
     here = START.copy()
     here[joint] -= 0.0195
     follower = SegmentFollower(MODEL, brake_limits(MODEL.facts, 10.0, 200.0), ForceSettings(), force, here, 0.005)
-    with pytest.raises(DeviceError, match="(moves|turns) the flange by"):
+    with pytest.raises(DeviceError, match=r"(moves|turns) the flange by"):
         follower.follow(stepped())
     assert follower.reference.ended
 
