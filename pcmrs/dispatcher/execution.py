@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Awaitable, Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol
+from typing import Generic, Literal, Protocol, runtime_checkable
 
 import structlog
 
@@ -19,7 +19,7 @@ from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.workflow import C, D, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
-from pcmrs.messages import Decision, JointTrajectory, Reason
+from pcmrs.messages import Decision, Reason
 
 log = structlog.get_logger(__name__)
 
@@ -109,6 +109,22 @@ class MotionChecker(Protocol[C, D]):
         """
 
 
+@runtime_checkable
+class PlannedMotion(Protocol):
+    """Motion that a check has planned: a `JointTrajectory`, or several.
+
+    Attributes:
+        stops: Places on the way where the arm rests; empty unless it moves in segments.
+        duration: Longest duration of the motion, s.
+    """
+
+    @property
+    def stops(self) -> Sequence[int]: ...
+
+    @property
+    def duration(self) -> float: ...
+
+
 @dataclass(frozen=True, slots=True)
 class StepResult:
     """Result of the steps: ``done`` with an outcome, ``failed`` or ``unknown`` with a reason."""
@@ -163,9 +179,9 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
 
 
 def _time_limit(spec: OperationSpec, run: Run[C, D]) -> float:
-    """Return the limit of the steps, s; the planned duration of a motion in segments comes in addition."""
+    """Return the limit of the steps, s; the planned duration of motions in segments comes in addition."""
     planned = run.prepared
-    in_segments = isinstance(planned, JointTrajectory) and bool(planned.stops)
+    in_segments = isinstance(planned, PlannedMotion) and bool(planned.stops)
     return spec.timeout_s + (planned.duration if in_segments else 0.0)
 
 

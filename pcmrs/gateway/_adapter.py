@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Core(Protocol):
-    """The daemon behind the gateway. Lengths in m, angles in rad; the reads return at once."""
+    """The daemon behind the gateway. Lengths in m, angles in rad; methods that are not coroutines return at once."""
 
     async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
         """Decide on one command and perform it; a rejection is a verdict, not an exception.
@@ -41,10 +41,11 @@ class Core(Protocol):
     def joints(self) -> list[float] | None:
         """Return the newest measured joints, rad; None while the robot is not connected."""
 
-    def remember_initial_joints(self) -> list[float] | None:
-        """Store the present joints as the initial ones and return them.
+    async def remember_initial_joints(self) -> list[float] | None:
+        """Store the present joints as the initial ones, and return them when they are durable.
 
-        Return None if there are none, or if the arm moves or is near the body: that is no place to return to.
+        Return None if there are none, if the arm moves or is near the body, which is no place to return to, or if the
+        journal has failed.
         """
 
     def flange_pose(self) -> Transform | None:

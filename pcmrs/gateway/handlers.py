@@ -249,7 +249,7 @@ class CommandHandlers:
             Action.STOP: lambda request: lambda: self._stop(request),
             Action.READ_JOINTS: lambda request: self._numbers(request, self._core.joints()),
             Action.READ_FLANGE: self._read_flange,
-            Action.KEEP_JOINTS: lambda request: self._numbers(request, self._core.remember_initial_joints()),
+            Action.KEEP_JOINTS: lambda request: lambda: self._keep_joints(request),
             Action.START_POSES: lambda request: self._done(request, services.streams.start_poses),
             Action.STOP_POSES: lambda request: self._done(request, services.streams.stop_poses),
             Action.START_TIP: lambda request: self._done(request, services.streams.start_tip),
@@ -472,6 +472,9 @@ class CommandHandlers:
     def _read_flange(self, request: StringCommand) -> CommandOutcome:
         pose = self._core.flange_pose()
         return self._numbers(request, None if pose is None else [*pose.translation, *pose.quat_xyzw])
+
+    async def _keep_joints(self, request: StringCommand) -> CommandOutcome:
+        return self._numbers(request, await self._core.remember_initial_joints())
 
     def _numbers(self, request: StringCommand, numbers: list[float] | None) -> CommandOutcome:
         return self.rejected(request, "no_data") if numbers is None else self.accepted(request, *numbers)

@@ -206,6 +206,8 @@ class PeerSession:
         elif len(self._queue) + self._running >= MAX_WAITING:
             self._on_overflow()
             ended.set_result(self._actions.rejected(request, QUEUE_FULL))
+        elif request.spec.action is Action.KEEP_JOINTS:
+            self._start(turn)  # the present joints are meant, not those after the commands before
         else:
             self._motion = ended if request.spec.moves else self._motion
             self._take_turn(turn)

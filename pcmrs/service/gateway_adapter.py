@@ -9,7 +9,7 @@ from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs.service.restart.state import INITIAL_JOINTS
+from pcmrs.service.restart.state import GATEWAY, INITIAL_JOINTS
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
@@ -53,14 +53,16 @@ class GatewayAdapter:
         state, connected = self._cell.joints, self._dispatcher.procedure.joint().get("robot") == "1"
         return list(state.positions) if state is not None and connected else None
 
-    def remember_initial_joints(self) -> list[float] | None:
+    async def remember_initial_joints(self) -> list[float] | None:
         joints, placement = self.joints(), self._dispatcher.procedure.joint().get("placement")
         if joints is None or placement != "retracted" or not self._dispatcher.idle:
             return None  # a posture near the body, or on the way to it, is not a place to return to
-        self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."
-        event = DeviceEvent(device="gateway", code=INITIAL_JOINTS, text=text, fields={"joints": joints})
-        self.report(event)
+        event = DeviceEvent(device=GATEWAY, code=INITIAL_JOINTS, text=text, fields={"joints": joints})
+        await self._dispatcher.report(event)
+        if self._dispatcher.broken is not None:  # the journal may not have them
+            return None
+        self._cell.initial_joints = joints
         return joints
 
     def flange_pose(self) -> Transform | None:

@@ -127,7 +127,8 @@ def previous_digitization_fits(run: Run) -> None:
 def named_landmarks_unchanged(run: Run) -> None:
     """Refuse to keep points of landmarks that are not planned, are planned elsewhere now, or were not digitized.
 
-    Also refuse all of them if patient, calibration or place of the reference are others.
+    Also refuse all of them if patient, calibration or place of the reference are others, or if other landmarks were
+    touched meanwhile with the reference elsewhere.
     """
     previous = run.data.previous_digitization
     if previous is None:
@@ -141,17 +142,26 @@ def named_landmarks_unchanged(run: Run) -> None:
             text = f"{name} was not digitized where it is planned now: digitize it, and name the others only."
             raise RefusalError("other_landmarks", text, name=name)
     _check_previous(run, previous)
+    if any(_points_kept(run)):
+        check_reference(run.cell, run.data.reference, run.clock.monotonic() - RECENT)
 
 
 def take_previous_points(run: Run) -> None:
-    """Restore the previous points of the landmarks that are named; all others stay open."""
+    """Restore the previous points of the landmarks that are named; all others stay as they are."""
     previous = run.data.previous_digitization
     if previous is not None:
         points = dict(zip(previous.landmarks, previous.points, strict=True))
         run.keep(reference=previous.reference, surface=())
-        kept = tuple(points[each] if each.name in run.payload.names else None for each in run.data.landmarks)
+        named = (points[each] if each.name in run.payload.names else None for each in run.data.landmarks)
+        kept = tuple(point or touched for point, touched in zip(named, _points_kept(run), strict=True))
         _keep_digitized(run, kept)
     run.outcome = "complete" if run.data.complete_digitization() else "partial"
+
+
+def _points_kept(run: Run) -> list[Point | None]:
+    """Return the present points of the landmarks that are not named; None for those that are named or open."""
+    touched = zip(run.data.landmarks, run.data.digitized, strict=True)
+    return [None if landmark.name in run.payload.names else point for landmark, point in touched]
 
 
 def _check_previous(run: Run, previous: Digitized) -> None:

@@ -55,7 +55,8 @@ async def leave_last_plan(run: Run) -> None:
         RefusalError: The arm was held, or the rest of the way is refused now, or was not planned in time.
     """
     if isinstance(run.prepared, Departure):
-        await _follow_to_end(run, run.prepared.to_last_standoff)
+        # A joint state of the moving arm may arrive after the answer, and outdates the frames before it.
+        await follow(run, run.prepared.to_last_standoff)
         await _wait_for_frame_at_rest(run)
         await run.plan(onward_possible, within=ONWARD_TIME)
 
@@ -171,14 +172,10 @@ async def follow(run: Run, trajectory: JointTrajectory) -> None:
     Raises:
         RefusalError: The arm was held.
     """
-    await _follow_to_end(run, trajectory)
-    await run.clock.sleep(run.cell.settings.placement.settle_time)
-
-
-async def _follow_to_end(run: Run, trajectory: JointTrajectory) -> None:
     ended = await follow_guarded(run.cell, trajectory, towards_body=run.motion == "approach")
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
+    await run.clock.sleep(run.cell.settings.placement.settle_time)
 
 
 async def _wait_for_frame_at_rest(run: Run) -> None:

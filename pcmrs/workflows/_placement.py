@@ -69,6 +69,17 @@ class Departure:
     to_last_standoff: JointTrajectory
     onward: JointTrajectory
 
+    @property
+    def stops(self) -> list[int]:
+        """Stops of the whole way; see `JointTrajectory`."""
+        before = len(self.to_last_standoff.positions) - 1
+        return [*self.to_last_standoff.stops, *(before + stop for stop in self.onward.stops)]
+
+    @property
+    def duration(self) -> float:
+        """Longest duration of both motions, s."""
+        return self.to_last_standoff.duration + self.onward.duration
+
 
 def approach_possible(run: Run) -> None:
     """Plan the path to the standoff, with another posture if the first one is refused.

@@ -14,12 +14,18 @@ from pcmrs.devices.motion.follower import Follower
 from pcmrs.devices.motion.reference import Reference
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.segments import COARSE, LONGEST
+from pcmrs.kinematics.segments import COARSE, FINE, LONGEST, SegmentLimits
 from pcmrs.messages import DeviceEvent, JointTrajectory, PressRequest
 from pcmrs.spatial import Floats, rotation_angle
 
 ROUNDING = 1e-6
 """Excess over a limit, relative to it, that is accepted, so that a planner may use the whole range."""
+
+FIRST = SegmentLimits(COARSE.distance + FINE.distance, COARSE.angle + FINE.angle)
+"""Greatest size of the first segment. It begins where the arm is, which deviates a little from the planned start."""
+
+LEAST_SPEED = 0.01
+"""Least part of the joints' speed limits with which a controller moves a segment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +91,7 @@ class SegmentFollower(Follower):
                 in segments that are short enough.
         """
         check_trajectory(trajectory, self.reference.position, self._model.facts)
-        segments = _segments(trajectory, self._model)
+        segments = _segments(trajectory, self.reference.position, self._model)
         self._begin(SegmentPath(self.reference.position, segments))
 
     def press(self, request: PressRequest) -> NoReturn:  # noqa: ARG002 - the signature of any follower
@@ -129,8 +135,16 @@ class SegmentFollower(Follower):
         self.alarms.append(DeviceEvent(device="robot", code="force_limit", text=text, danger=True, fields=fields))
 
 
-def _segments(trajectory: JointTrajectory, model: ArmModel) -> list[MotionSegment]:
-    """Return the segments of a checked trajectory; raise `DeviceError` if they are missing or too large."""
+def _segments(trajectory: JointTrajectory, posture: Floats, model: ArmModel) -> list[MotionSegment]:
+    """Return the segments of a checked trajectory; raise `DeviceError` if they are missing or too large.
+
+    The first one counts from where the arm is, since the cabinet moves from there. The trajectory may start elsewhere.
+
+    Args:
+        trajectory: The trajectory.
+        posture: Present set posture, rad, (n,).
+        model: Model of the arm.
+    """
     positions, stops = np.array(trajectory.positions), [0, *trajectory.stops]
     last = len(positions) - 1
     if last == 0:
@@ -143,23 +157,28 @@ def _segments(trajectory: JointTrajectory, model: ArmModel) -> list[MotionSegmen
         raise DeviceError(text, stops=len(trajectory.stops))
     parts = np.abs(np.diff(positions, axis=0)) / trajectory.period / model.velocity
     segments = []
+    aside = float((np.abs(posture - positions[0]) / model.velocity).max())
     for start, end in pairwise(stops):
-        duration = (end - start) * trajectory.period
-        _check_size(model, positions[start], positions[end], duration)
-        segments.append(MotionSegment(positions[end], float(parts[start:end].max()), duration))
+        speed, duration = float(parts[start:end].max()), (end - start) * trajectory.period
+        if start == 0:
+            duration += aside / max(speed, LEAST_SPEED)
+            _check_size(model, posture, positions[end], duration, FIRST)
+        else:
+            _check_size(model, positions[start], positions[end], duration, COARSE)
+        segments.append(MotionSegment(positions[end], speed, duration))
     return segments
 
 
-def _check_size(model: ArmModel, start: Floats, end: Floats, duration: float) -> None:
+def _check_size(model: ArmModel, start: Floats, end: Floats, duration: float, limits: SegmentLimits) -> None:
     base_from_start, base_from_end = model.forward(start), model.forward(end)
     way = float(np.linalg.norm(base_from_end.translation - base_from_start.translation))
     for what, value, limit, shown in (
-        ("moves the flange by", way, COARSE.distance, f"{way * 1e3:.2f} mm, limit {COARSE.distance * 1e3:g} mm"),
+        ("moves the flange by", way, limits.distance, f"{way * 1e3:.2f} mm, limit {limits.distance * 1e3:g} mm"),
         (
             "turns the flange by",
             turn := rotation_angle(base_from_start, base_from_end),
-            COARSE.angle,
-            f"{np.degrees(turn):.2f}°, limit {np.degrees(COARSE.angle):g}°",
+            limits.angle,
+            f"{np.degrees(turn):.2f}°, limit {np.degrees(limits.angle):g}°",
         ),
         ("takes", duration, LONGEST, f"{duration:.2f} s, limit {LONGEST:g} s"),
     ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import msgspec
@@ -19,6 +20,10 @@ TAKEN_BACK = ("previous", "noise", "previous_digitization", "previous_plan")
 the measured noise of each pointer."""
 INITIAL_JOINTS = "initial_joints"
 """Code of the event by which the gateway reports that the present posture is the initial one from now on."""
+GATEWAY = "gateway"
+"""Source of that event. Any device may use the same code."""
+ACTIVITY = "activity:"
+"""Begin of the source of events by which the dispatcher reports that an activity has begun or ended."""
 ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; its outcome is unknown.")
 
 
@@ -90,8 +95,8 @@ class RestartState:
             self._latched = True  # a Stop after the backup is not in this journal
         elif row.kind == "device":
             self._follow_activity(row)
-            if row.operation == INITIAL_JOINTS:
-                self._initial_joints = tuple(row.result["fields"]["joints"]) if row.result else ()
+            if (row.source, row.operation) == (GATEWAY, INITIAL_JOINTS):
+                self._initial_joints = _joints_of(row) or self._initial_joints
             if (row.result or {}).get("danger"):
                 self._latched = self._latched or row.source != SHUTDOWN or _left_unconfirmed(row)
 
@@ -118,6 +123,8 @@ class RestartState:
         """Follow an activity that moves the robot: it has begun, or ended with the robot at rest or a motion."""
         fields = (row.result or {}).get("fields") or {}
         key = row.source or "", str(fields.get("command", ""))
+        if not key[0].startswith(ACTIVITY):
+            return
         if row.operation == ACTIVITY_ENDED:
             self._moving.pop(key, None)
         elif row.operation == ACTIVITY_STARTED and self._moves(fields["branch"], fields["state"]):
@@ -178,6 +185,14 @@ class RestartState:
         """Operation of a row; None if this version of the workflow does not have it."""
         branch = self._blueprint.branches.get(row.branch or "")
         return None if branch is None else branch.operations.get(row.operation or "")
+
+
+def _joints_of(row: JournalRow) -> tuple[float, ...]:
+    """Return the joints that an event reports, rad, (n,); empty if it has none that are finite numbers."""
+    joints = ((row.result or {}).get("fields") or {}).get("joints")
+    if not isinstance(joints, list) or not all(isinstance(each, (int, float)) and isfinite(each) for each in joints):
+        return ()
+    return tuple(float(each) for each in joints)
 
 
 def _left_unconfirmed(row: JournalRow) -> bool:

@@ -53,6 +53,7 @@ class FakeCore:
         self.gates: dict[str, asyncio.Event] = defaultdict(_open_gate)
         self.stops: list[str] = []
         self.after_accepting: Callable[[], object] = lambda: None
+        self.initial_joints: list[float] | None = None
         self.stands = True
         self.events: list[DeviceEvent] = []
         self.listeners: list[DispatcherListener] = []
@@ -126,8 +127,8 @@ class FakeCore:
     def joints(self) -> list[float] | None:
         return [0.1 * index for index in range(7)]
 
-    def remember_initial_joints(self) -> list[float] | None:
-        return None
+    async def remember_initial_joints(self) -> list[float] | None:
+        return self.initial_joints
 
     def flange_pose(self) -> Transform | None:
         return self.pose

@@ -274,6 +274,15 @@ async def test_after_a_stall_of_the_loop_no_second_datagram_is_sent(cell: Any) -
     assert cell.replies.received.empty()
 
 
+async def test_set_initial_passes_a_running_command(cell: Any) -> None:
+    """The present joints are meant, not those after it."""
+    cell.core.initial_joints = [0.2] * 7
+    cell.core.gates["connect"].clear()
+    assert await cell.tell("rob_conn_onxxxxx;", cell.robot) == "ack"
+    assert await cell.tell("get_jnt_setinitx;", cell.robot) == "ack"
+    assert [float(token) for token in (await cell.replies.received.get()).split("_")[:7]] == [0.2] * 7
+
+
 async def test_reads_pass_a_running_command(cell: Any) -> None:
     cell.core.gates["digitize_all"].clear()
     await cell.tell("start_autodigitz;")

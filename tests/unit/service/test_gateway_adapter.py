@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,7 +15,7 @@ from pcmrs.gateway.periodic_timer import beats_of
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams
-from pcmrs.messages import BodyPose, JointState
+from pcmrs.messages import BodyPose, DeviceEvent, JointState, Reason
 from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.testing.clock import ManualClock
@@ -136,6 +137,44 @@ async def test_a_pose_log_has_the_poses_of_the_stream(tmp_path: Path) -> None:
 JOINTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
 
 
+class Reporting:
+    """Dispatcher whose rows are durable when the test says so.
+
+    Attributes:
+        durable: Set when they are.
+        broken: Reason if the journal has failed.
+    """
+
+    def __init__(self, placement: str, idle: bool) -> None:
+        self.idle = idle
+        self.broken: Reason | None = None
+        self.procedure = SimpleNamespace(joint=lambda: {"robot": "1", "placement": placement})
+        self.durable = asyncio.Event()
+        self.durable.set()
+
+    async def report(self, _event: DeviceEvent) -> None:
+        await self.durable.wait()
+
+
+@pytest.mark.parametrize("broken", [False, True])
+async def test_initial_joints_are_acknowledged_when_durable(broken: bool) -> None:
+    zero = [0.0] * 7
+    state = JointState(captured=1.0, sent=1.0, positions=JOINTS, velocities=zero, torques=zero, moving=False)
+    cell = SimpleNamespace(joints=state, initial_joints=None)
+    dispatcher = Reporting("retracted", idle=True)
+    dispatcher.durable.clear()
+    core = GatewayAdapter(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
+
+    reply = asyncio.create_task(core.remember_initial_joints())
+    await asyncio.sleep(0.01)
+    assert not reply.done()
+    assert cell.initial_joints is None
+    dispatcher.broken = Reason(code="journal_error", text="The disk is full.") if broken else None
+    dispatcher.durable.set()
+    assert await reply == (None if broken else JOINTS)
+    assert cell.initial_joints == (None if broken else JOINTS)
+
+
 @pytest.mark.parametrize(
     ("placement", "idle", "taken"),
     [
@@ -144,15 +183,13 @@ JOINTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
         pytest.param("retracted", False, None, id="on the way to the body: states change when a motion has ended"),
     ],
 )
-def test_only_a_posture_at_rest_and_clear_of_the_body_is_kept(
+async def test_only_a_posture_at_rest_and_clear_of_the_body_is_kept(
     placement: str, idle: bool, taken: list[float] | None
 ) -> None:
     zero = [0.0] * 7
     state = JointState(captured=1.0, sent=1.0, positions=JOINTS, velocities=zero, torques=zero, moving=not idle)
     cell = SimpleNamespace(joints=state, initial_joints=None)
-    procedure = SimpleNamespace(joint=lambda: {"robot": "1", "placement": placement})
-    dispatcher = SimpleNamespace(procedure=procedure, idle=idle, report_later=lambda _: None)
-    core = GatewayAdapter(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
+    core = GatewayAdapter(cast(Any, Reporting(placement, idle)), cast(Any, cell), cast(Any, None))
 
-    assert core.remember_initial_joints() == taken
+    assert await core.remember_initial_joints() == taken
     assert cell.initial_joints == taken

@@ -276,3 +276,36 @@ async def test_all_named_landmarks_complete_the_digitization(bench: WorkflowBenc
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
     await bench.accept("digitization.reuse_previous_of", names=[each["name"] for each in LANDMARKS])
     assert (bench.states["digitization"], bench.data.digitized) == ("1", before)
+
+
+async def test_touches_of_landmarks_that_are_not_named_stay(bench: WorkflowBench) -> None:
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    await bench.accept("digitization.digitize_all")
+    before = bench.data.digitized
+    first, *others = LANDMARKS
+    moved = [{**first, "position": [value + 0.01 for value in first["position"]]}, *others]
+    await bench.accept("registration.plan_landmarks", landmarks=moved)
+    await bench.accept("digitization.digitize_one", index=0)
+    touched = bench.data.digitized[0]
+    assert touched is not None
+    await bench.accept("digitization.reuse_previous_of", names=[others[0]["name"]])
+    assert bench.data.digitized == (touched, before[1], *(None for _ in others[1:]))
+    await bench.accept("digitization.reuse_previous_of", names=[each["name"] for each in others[1:]])
+    assert (bench.states["digitization"], bench.data.digitized) == ("1", (touched, *before[1:]))
+
+
+async def test_touches_since_a_motion_are_not_mixed_with_old_ones(bench: WorkflowBench) -> None:
+    """The reference matches the previous digitization again, but not the one of this session."""
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    await bench.accept("digitization.digitize_all")
+    first, *others = LANDMARKS
+    moved = [{**first, "position": [value + 0.01 for value in first["position"]]}, *others]
+    await bench.accept("registration.plan_landmarks", landmarks=moved)
+    await bench.scene.bump_reference((0.004, 0.0, 0.0), (0.0, 0.0, 0.0))
+    await bench.clock.sleep(1.0)
+    await bench.accept("digitization.digitize_one", index=0)
+    kept = bench.data
+    await bench.scene.bump_reference((-0.004, 0.0, 0.0), (0.0, 0.0, 0.0))
+    await bench.clock.sleep(1.0)
+    await bench.refuse("digitization.reuse_previous_of", "reference_moved", names=[others[0]["name"]])
+    assert bench.data == kept

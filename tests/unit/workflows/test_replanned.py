@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from pcmrs.messages import JointTrajectory, MotionResult
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows._placement import planned_pose
 from pcmrs.workflows.data import as_transform
@@ -186,3 +188,28 @@ async def test_confirm_keeps_or_drops_nudges_as_the_cell_says(drops: bool) -> No
         await bench.accept("placement.confirm")
         assert await bench.true_height() == pytest.approx(0.0 if drops else 0.004, abs=0.0008)
         assert bench.data.nudge_translation == pytest.approx((0.0, 0.0, 0.0 if drops else 0.004))
+
+
+async def test_a_late_joint_state_does_not_end_the_way(bench: WorkflowBench) -> None:
+    """The answer of the first leg overtakes the last joint state of the braking arm."""
+    await bench.to_standoff()
+    cell = bench.cell
+    follow = cell.robot.follow
+    late: set[asyncio.Task[None]] = set()
+
+    async def report_late() -> None:
+        await bench.clock.sleep(0.03)
+        assert cell.joints is not None
+        cell.update_joints(msgspec.structs.replace(cell.joints, moving=True))
+
+    async def overtake(trajectory: JointTrajectory) -> MotionResult:
+        result = await follow(trajectory)
+        late.add(asyncio.create_task(report_late()))
+        return result
+
+    cell.robot.follow = overtake  # type: ignore[method-assign]
+    for millimetres in (15.0, 0.0, 15.0, 0.0):
+        await bench.accept("toolplan.plan", **beside(POSES[0], millimetres))
+        await bench.accept("placement.approach")
+        assert bench.states["placement"] == "standoff"
+    await asyncio.gather(*late)

@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.kinematics.segments import COARSE, FINE, PERIOD
 from pcmrs.messages import JointTrajectory, MotionResult
-from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
+from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench
 
 
 def recorded(bench: WorkflowBench) -> list[JointTrajectory]:
@@ -82,3 +82,16 @@ async def test_stop_lets_no_segment_follow() -> None:
         assert bench.states["placement"] == "held"
         here = (await bench.robot.joints()).positions
         assert np.abs(np.array(here) - motions[0].positions[-1]).max() > 0.01
+
+
+async def test_the_deadline_counts_both_legs_of_an_approach() -> None:
+    """From target to target, the arm goes to the last standoff first."""
+    slow: dict[str, Any] = {"motion": {"near_velocity": 0.005}}
+    async with open_bench(slow) as bench:
+        motions = recorded(bench)
+        await bench.to_placed()
+        before = len(motions)
+        await bench.accept("toolplan.plan", **POSES[1])
+        await bench.accept("placement.approach")
+        limit = bench.dispatcher.procedure.blueprint.branches["placement"].operations["approach"].timeout_s
+        assert sum(PERIOD * len(motion.positions) for motion in motions[before:]) > limit

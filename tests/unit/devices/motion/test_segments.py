@@ -94,3 +94,24 @@ def test_a_segment_that_is_too_long_is_refused(follower: SegmentFollower) -> Non
     with pytest.raises(DeviceError, match="could not be stopped soon enough"):
         follower.follow(JointTrajectory(period=path.period, positions=path.positions, stops=[last]))
     assert follower.reference.ended
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_the_first_segment_counts_from_where_the_arm_is(force: TorqueForce, joint: int) -> None:
+    """A start that is just accepted must not make the first segment larger than one that can be stopped."""
+    here = START.copy()
+    here[joint] -= 0.0195
+    follower = SegmentFollower(MODEL, brake_limits(MODEL.facts, 10.0, 200.0), ForceSettings(), force, here, 0.005)
+    with pytest.raises(DeviceError, match=r"(moves|turns) the flange by"):
+        follower.follow(stepped())
+    assert follower.reference.ended
+
+
+def test_a_small_deviation_at_rest_is_no_reason_to_refuse(force: TorqueForce) -> None:
+    here = START - 2e-4
+    follower = SegmentFollower(MODEL, brake_limits(MODEL.facts, 10.0, 200.0), ForceSettings(), force, here, 0.005)
+    path = stepped()
+    follower.follow(path)
+    first = follower.next
+    assert first is not None
+    assert first.duration > path.stops[0] * path.period

@@ -140,6 +140,34 @@ def test_the_last_remembered_initial_posture_outlives_a_run() -> None:
     assert RestartState(RATMS, restart_state.kept).kept.initial_joints == (0.2,) * 7
 
 
+@pytest.mark.parametrize(
+    ("source", "result"),
+    [
+        ("tracker", {"fields": {"joints": [0.3] * 7}}),
+        ("tracker", {"fields": {}}),
+        ("gateway", None),
+        ("gateway", {"fields": {}}),
+        ("gateway", {"fields": {"joints": 3}}),
+        ("gateway", {"fields": {"joints": ["a"] * 7}}),
+        ("gateway", {"fields": {"joints": [float("nan")] * 7}}),
+        ("gateway", {"fields": {"joints": []}}),
+    ],
+)
+def test_only_joints_by_the_gateway_are_remembered(source: str, result: dict[str, Any] | None) -> None:
+    restart_state = RestartState(RATMS, PersistedState(initial_joints=(0.1,) * 7))
+    row = as_row("device", f"{source}.{INITIAL_JOINTS}", False, None)
+    restart_state.take(msgspec.structs.replace(row, result=result))
+    assert restart_state.kept.initial_joints == (0.1,) * 7
+
+
+@pytest.mark.parametrize("code", ["activity_started", "activity_ended"])
+def test_a_device_does_not_report_activities(code: str) -> None:
+    """Only the dispatcher does; a device that uses its codes must not stop the daemon."""
+    restart_state = RestartState(RATMS, PersistedState())
+    restart_state.take(as_row("device", f"tracker.{code}", False, None))
+    assert restart_state.kept == PersistedState()
+
+
 def test_a_restored_cell_starts_latched_until_acknowledged() -> None:
     restart_state = RestartState(RATMS, PersistedState())
     row = msgspec.structs.replace(as_row(*STARTED), kind="event", source=SOURCE, operation=RESTORED)
