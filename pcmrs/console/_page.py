@@ -242,7 +242,8 @@ class Page:
     async def _escaped(self, event: events.KeyEventArguments) -> None:
         if not event.action.keydown or event.key.name != "Escape":
             return
-        if self._escape.stops(self._feed.snapshot, dialog=bool(self._dialogs)):
+        shown = None if self._feed.client is None else self._feed.snapshot
+        if self._escape.stops(shown, dialog=bool(self._dialogs)):
             await self._sender.stop()
         else:
             self._dialogs.close_newest()
