@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from nicegui import events, ui
 
 from pcmrs.console._dialogs import Dialogs
 from pcmrs.console._meaning import ButtonMeaning
+from pcmrs.console._press import Press
 from pcmrs.console.settings import MotionConsent
 from pcmrs.console.texts import Texts
 
 HOLD_SCRIPT = Path(__file__).with_name("hold.js")
-"""Script of the browser that reports a button which was pressed and held."""
+"""Script of the browser that notes the meaning of a button at the press, and reports clicks and holds with it."""
+_REPORT_CLICK = """
+(event) => { const click = pcmrsPresses.click(event, event.currentTarget); if (click !== null) emit(click); }
+"""
 STYLE = """
 .asking .q-btn[disabled] { pointer-events: none; }
 .asking [data-hold] { touch-action: none; user-select: none; -webkit-touch-callout: none; }
@@ -51,6 +54,7 @@ class ButtonState:
         why_not: Reason why it does nothing.
         help: Explanation under the pointer if it does something.
         moves: It moves the robot.
+        confirms: A click is enough although it moves the robot: it is the answer to a question.
     """
 
     label: str
@@ -58,6 +62,7 @@ class ButtonState:
     why_not: str = ""
     help: str = ""
     moves: bool = False
+    confirms: bool = False
 
 
 class ActionButton:
@@ -77,7 +82,7 @@ class ActionButton:
         with ui.element("div").classes("asking") as around:
             self._button = ui.button().props(look).props(f'data-testid="{name}"')
             self._tooltip = ui.tooltip()
-        around.on("click", self._clicked, args=[]).on("held", self._held, args=["detail"])
+        around.on("click", self._clicked, js_handler=_REPORT_CLICK).on("held", self._held, args=["detail"])
 
     def refresh(self, state: ButtonState) -> None:
         """Show the present state."""
@@ -93,47 +98,63 @@ class ActionButton:
             self._button.props("icon=precision_manufacturing")
         else:
             self._button.props(remove="icon")
-        if state.moves and state.meaning and self._actions.consent == "hold":
-            self._button.props["data-hold"] = state.meaning
+        self._button.props["data-meaning"] = state.meaning
+        if state.meaning and self._is_held:
+            self._button.props["data-hold"] = "yes"
         else:
             self._button.props.pop("data-hold", None)
         self._button.update()
 
+    @property
+    def _is_held(self) -> bool:
+        return self._state.moves and not self._state.confirms and self._actions.consent == "hold"
+
     def _help(self, state: ButtonState) -> str:
-        if not state.moves:
+        if not state.moves or state.confirms:
             return state.help
         return f"{self._actions.texts('hold_help' if self._actions.consent == 'hold' else 'confirm_help')} {state.help}"
 
-    async def _clicked(self) -> None:
+    async def _clicked(self, event: events.GenericEventArguments) -> None:
         state = self._state
         if not state.meaning:
             if state.why_not:
-                ui.notify(state.why_not, type="warning", multi_line=True, position="bottom-left")
+                warn(state.why_not)
             return
-        if not self._meaning.accepts(state.meaning):
+        if self._is_held or not self._counts(Press.of(event.args)):
             return
-        if not state.moves or (self._actions.consent == "confirm" and await self._confirmed(state)):
+        if not state.moves or state.confirms or await self._confirmed(state):
             await self._act()
 
     async def _held(self, event: events.GenericEventArguments) -> None:
-        """Act if what was held is what the button means now."""
-        held: Any = event.args.get("detail")
-        if self._state.moves and self._actions.consent == "hold" and self._meaning.accepts(str(held)):
+        if self._is_held and self._counts(Press.of(event.args.get("detail"))):
             await self._act()
+
+    def _counts(self, press: Press) -> bool:
+        """Return true if the button means now what it meant at the press, and the report of it is not late."""
+        if press.meaning != self._state.meaning or not self._meaning.accepts(press.meaning):
+            return False
+        if press.is_late(self._actions.now()):
+            warn(self._actions.texts("late_press"))
+            return False
+        return True
 
     async def _confirmed(self, state: ButtonState) -> bool:
         """Ask whether a motion is meant; the answer counts only if the button still means the same."""
-        texts, meaning = self._actions.texts, ButtonMeaning(self._actions.now)
-        meaning.show(state.meaning)
+        texts = self._actions.texts
         with ui.dialog() as dialog, ui.card().classes("w-96"):
             ui.label(state.label).classes("text-weight-bold")
             ui.label(texts("moves_arm"))
 
-            def move() -> None:
-                if meaning.accepts(state.meaning):
-                    dialog.submit(True)
+            async def move() -> None:
+                dialog.submit(True)
 
             with ui.row():
-                ui.button(texts("move_now"), on_click=move, color="deep-orange-9").props('data-testid="move-now"')
+                button = ActionButton("move-now", self._actions, move, "no-caps")
+                button.refresh(ButtonState(texts("move_now"), state.meaning, moves=True, confirms=True))
                 ui.button(texts("cancel"), on_click=lambda: dialog.submit(None)).props("flat")
         return bool(await self._actions.dialogs.ask(dialog)) and self._state.meaning == state.meaning
+
+
+def warn(text: str) -> None:
+    """Show a warning in the corner of the page."""
+    ui.notify(text, type="warning", multi_line=True, position="bottom-left")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from nicegui import ui
 
-from pcmrs.console._action_button import PageActions
+from pcmrs.console._action_button import ActionButton, ButtonState, PageActions
 from pcmrs.console._arguments import (
     FieldError,
     can_be_typed,
@@ -19,40 +20,38 @@ from pcmrs.console._arguments import (
     value_of,
 )
 from pcmrs.console._choices import Choice
-from pcmrs.console._command_sender import CommandSender
-from pcmrs.console._meaning import ButtonMeaning
 from pcmrs.messages.setup import ArgumentShown
 
 Field = ui.input | ui.select | ui.checkbox
 
 
 class ArgumentsDialog:
-    """Form that stays open, with all its input, until the daemon has taken the arguments.
+    """Form that submits the arguments once they are valid, which closes it: it never covers what it has started.
 
     Args:
         choice: The operation.
         arguments: Arguments to ask for.
-        known: Arguments that are known already.
-        sender: Sends commands to the daemon.
         actions: Shared parts of the page.
+        earlier: Input of the same form before a refusal, by argument.
+        problem: Text of that refusal; empty for none.
 
     Attributes:
         dialog: The dialog.
+        typed: Input as it was submitted, by argument.
     """
 
     def __init__(
         self,
         choice: Choice,
         arguments: Sequence[ArgumentShown],
-        known: Mapping[str, Any],
-        sender: CommandSender,
         actions: PageActions,
+        earlier: Mapping[str, Any] = MappingProxyType({}),
+        problem: str = "",
     ) -> None:
-        self._choice, self._known, self._sender, self._texts = choice, known, sender, actions.texts
+        self.typed: Mapping[str, Any] = {}
+        self._texts = actions.texts
         self._arguments = [each for each in arguments if each.kind != "other"]
         self._fields: dict[str, Field] = {}
-        self._meaning = ButtonMeaning(actions.now)
-        self._meaning.show(choice.name)
         texts = actions.texts
         with ui.dialog() as self.dialog, ui.card().classes("w-96"):
             ui.label(choice.title).classes("text-weight-bold")
@@ -64,10 +63,14 @@ class ArgumentsDialog:
             self._problem = ui.label().classes("text-negative").props('data-testid="form-problem"')
             with ui.row():
                 if can_be_typed(arguments):
-                    look = "deep-orange-9" if choice.moves else "primary"
+                    send = ActionButton("send-form", actions, self._send, "")
                     label = texts("move_now" if choice.moves else "send")
-                    ui.button(label, on_click=self._send, color=look).props('data-testid="send-form"')
+                    send.refresh(ButtonState(label, choice.name, moves=choice.moves, confirms=True))
                 ui.button(texts("cancel"), on_click=lambda: self.dialog.submit(None)).props("flat")
+        for name, value in earlier.items():
+            self._fields[name].set_value(value)
+        name, text = refused_field(problem, self._arguments)
+        self._show_problem(text, name)
 
     def _field(self, argument: ArgumentShown) -> Field:
         label, name = label_with_unit(argument), f'data-testid="field-{argument.name}"'
@@ -85,8 +88,6 @@ class ArgumentsDialog:
         return text
 
     async def _send(self) -> None:
-        if not self._meaning.accepts(self._choice.name):
-            return
         values: dict[str, Any] = {}
         self._show_problem("")
         for argument in self._arguments:
@@ -98,21 +99,8 @@ class ArgumentsDialog:
                 self._show_problem(error.text, argument.name)
         if len(values) < len(self._arguments):
             return
-        self._known_again()
-        arguments = {**self._known, **given(values, self._arguments)}
-        verdict = await self._sender.ask(self._choice.name, arguments)
-        if verdict is None or (verdict.reason is not None and verdict.decision == "rejected"):
-            text = "" if verdict is None or verdict.reason is None else verdict.reason.text
-            name, text = refused_field(text, self._arguments)
-            self._show_problem(text, name)
-            return
-        self.dialog.submit(True)
-
-    def _known_again(self) -> None:
-        """Remove the errors at all fields, which are being sent."""
-        for field in self._fields.values():
-            if isinstance(field, ui.input):
-                field.error = None
+        self.typed = {name: field.value for name, field in self._fields.items()}
+        self.dialog.submit(given(values, self._arguments))
 
     def _show_problem(self, text: str, name: str = "") -> None:
         field = self._fields.get(name)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import ui
 
-from pcmrs.console._action_button import PageActions
+from pcmrs.console._action_button import ActionButton, ButtonState, PageActions, warn
 from pcmrs.console._arguments_dialog import ArgumentsDialog
 from pcmrs.console._cell_view_model import CellViewModel
-from pcmrs.console._choices import Choice
+from pcmrs.console._choices import Choice, context_of
 from pcmrs.console._command_sender import CommandSender
 from pcmrs.console._next import LANDMARK, landmark_prompt, open_landmark
-from pcmrs.messages.setup import Setup
+from pcmrs.messages import Snapshot
+from pcmrs.messages.setup import ArgumentShown, Setup
 
 RETREAT = "retreat"
 """Registered name of the arguments of a retreat, which a person may have to confirm."""
@@ -50,8 +51,22 @@ class Asking:
         if not wanted:
             await self._sender.ask(choice.name, {**stop, **known})
             return
-        dialog = ArgumentsDialog(choice, wanted, {**stop, **known}, self._sender, self._actions)
-        await self._actions.dialogs.ask(dialog.dialog)
+        await self._with_form(choice, wanted, {**stop, **known})
+
+    async def _with_form(self, choice: Choice, wanted: Sequence[ArgumentShown], known: Mapping[str, Any]) -> None:
+        """Ask for an operation after a form, which opens again with its input if the daemon refuses the arguments.
+
+        If the outcome is not known, it does not: what was sent may have happened.
+        """
+        form = ArgumentsDialog(choice, wanted, self._actions)
+        while (typed := await self._actions.dialogs.ask(form.dialog)) is not None:
+            if choice.context and choice.context != context_of(self._view.snapshot):
+                warn(self._actions.texts("changed"))
+                return
+            verdict = await self._sender.ask(choice.name, {**known, **typed})
+            if verdict is None or verdict.reason is None or verdict.decision != "rejected":
+                return
+            form = ArgumentsDialog(choice, wanted, self._actions, form.typed, verdict.reason.text)
 
     async def _landmark(self, choice: Choice) -> None:
         """Ask which landmark is meant, by its name, and then for the operation."""
@@ -61,10 +76,16 @@ class Asking:
             ui.label(choice.title).classes("text-weight-bold")
             chosen = ui.select(names, label=texts("which_landmark"), value=open_landmark(data)).classes("w-full")
             chosen.props('data-testid="which-landmark"')
+
+            async def submit() -> None:
+                dialog.submit(chosen.value)
+
             with ui.row():
-                send = ui.button(texts("send"), on_click=lambda: dialog.submit(chosen.value))
-                send.props('data-testid="send-form"').bind_enabled_from(
-                    chosen, "value", lambda value: value is not None
+                send = ActionButton("send-form", self._actions, submit, "")
+                meaning = choice.name if chosen.value is not None else ""
+                send.refresh(ButtonState(texts("send"), meaning, texts("field_needed")))
+                chosen.on_value_change(
+                    lambda: send.refresh(ButtonState(texts("send"), choice.name, texts("field_needed")))
                 )
                 ui.button(texts("cancel"), on_click=lambda: dialog.submit(None)).props("flat")
         index = await self._actions.dialogs.ask(dialog)
@@ -76,10 +97,26 @@ class Asking:
         verdict, texts = await self._sender.ask(choice.name, {}), self._actions.texts
         if verdict is None or verdict.reason is None or verdict.reason.code != "body_not_registered":
             return
+        seen = _whereabouts(self._view.snapshot)
         with ui.dialog() as dialog, ui.card().classes("w-96"):
             ui.label(verdict.reason.text)
+
+            async def submit() -> None:
+                dialog.submit(True)
+
             with ui.row():
-                ui.button(texts("looked"), on_click=lambda: dialog.submit(True)).props('data-testid="looked"')
+                looked = ActionButton("looked", self._actions, submit, "no-caps")
+                held = self._actions.consent == "hold"
+                looked.refresh(ButtonState(texts("looked"), choice.name, moves=True, confirms=not held))
                 ui.button(texts("cancel"), on_click=lambda: dialog.submit(None)).props("flat")
-        if await self._actions.dialogs.ask(dialog):
-            await self._sender.ask(choice.name, {"confirm": True})
+        if not await self._actions.dialogs.ask(dialog):
+            return
+        if seen is None or seen != _whereabouts(self._view.snapshot):
+            warn(texts("changed"))
+            return
+        await self._sender.ask(choice.name, {"confirm": True})
+
+
+def _whereabouts(shown: Snapshot | None) -> tuple[str, Mapping[str, str], bool] | None:
+    """Return what a person has seen who looked at the path of a retreat; None if it is not known."""
+    return None if shown is None else (context_of(shown), shown.branches, shown.latched)

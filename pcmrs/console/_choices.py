@@ -19,6 +19,15 @@ def latch_of(shown: Snapshot | None) -> str | None:
     return "latched_standing" if shown.stop.confirmed else "latched_unconfirmed"
 
 
+def context_of(shown: Snapshot | None) -> str:
+    """Return what a motion depends on besides its name: plan, registration and newest Stop; empty if not known.
+
+    Args:
+        shown: The present snapshot; None if it is not known.
+    """
+    return "" if shown is None else f"{shown.plan} {shown.registration} {shown.stop.number}"
+
+
 @dataclass(frozen=True, slots=True)
 class Choice:
     """One operation that a person may ask for.
@@ -29,6 +38,7 @@ class Choice:
         payload: Registered name of its arguments' type; ``none`` for none.
         moves: It moves the robot.
         stop: For an acknowledgement, the number of the Stop that the person was shown; None for other operations.
+        context: For what moves the robot or affects the patient, `context_of` the snapshot; empty for the rest.
     """
 
     branch: str
@@ -38,10 +48,16 @@ class Choice:
     payload: str
     moves: bool
     stop: int | None = None
+    context: str = ""
 
     @property
     def name(self) -> str:
         return f"{self.branch}.{self.operation}"
+
+    @property
+    def meaning(self) -> str:
+        """What a press does; empty if it does nothing. A motion to another plan is another meaning."""
+        return "" if self.why_not else f"{self.name} {self.stop} {self.context}"
 
 
 class Choices:
@@ -85,6 +101,7 @@ class Choices:
             payload=spec.payload,
             moves=spec.moves,
             stop=shown.stop.number if spec.unlatches else None,
+            context=context_of(shown) if spec.moves or spec.affects_patient else "",
         )
 
     def _denied(self, branch: str, operation: str, denial: Denial, shown: Snapshot) -> str:

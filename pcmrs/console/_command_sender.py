@@ -11,7 +11,7 @@ from pcmrs.client import Client
 from pcmrs.console._history import why
 from pcmrs.console._live_feed import LiveFeed
 from pcmrs.console.texts import Texts
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.messages import Verdict
 
 
@@ -39,7 +39,9 @@ class CommandSender:
         task = background_tasks.create(_verdict(client, name, arguments), name=f"ask {name}")
         verdict: Verdict | PcmrsError = await task
         if isinstance(verdict, PcmrsError):
-            ui.notify(verdict.text, type="negative", multi_line=True, position="bottom-left")
+            look = self._texts("unknown_look") if isinstance(verdict, UnknownOutcomeError) else ""
+            text = f"{verdict.text} {look}".rstrip()
+            ui.notify(text, type="negative", multi_line=True, position="bottom-left")
             return None
         text = self._texts("asked", name=name, decision=verdict.decision)
         ui.notify(

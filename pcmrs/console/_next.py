@@ -30,6 +30,7 @@ class NextButton:
         enabled: A press would not be rejected, as far as a console can tell.
         moves: It moves the robot.
         arguments: Arguments that are known already.
+        context: Context of the operation, as in `Choice`.
     """
 
     press: Press
@@ -39,11 +40,12 @@ class NextButton:
     enabled: bool = False
     moves: bool = False
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    context: str = ""
 
     @property
     def meaning(self) -> str:
         """What a press does; another text of the same effect is no other meaning."""
-        return f"{self.press} {self.name} {dict(self.arguments)}" if self.enabled else ""
+        return f"{self.press} {self.name} {dict(self.arguments)} {self.context}" if self.enabled else ""
 
 
 def open_landmark(data: ProcedureDataView) -> int | None:
@@ -97,7 +99,7 @@ def next_button(
         label, arguments = texts("touch_landmark", which=landmark_prompt(data, index, texts)), {"index": index}
     why = choice.why_not or (texts("next_why", stage=stage) if stage else texts("next_release"))
     press: Press = "plan" if choice.payload in planned else "ask"
-    return NextButton(press, found.next, label, why, not choice.why_not, choice.moves, arguments)
+    return NextButton(press, found.next, label, why, not choice.why_not, choice.moves, arguments, choice.context)
 
 
 def _running(running: Running, choices: Mapping[str, Choice], texts: Texts) -> str:

@@ -20,6 +20,7 @@ from pcmrs.console._geometry import placement_deviation, tool_tip
 from pcmrs.console._live_feed import LiveFeed
 from pcmrs.console._next_panel import NextPanel
 from pcmrs.console._playback_bar import PlaybackBar, choose_recording
+from pcmrs.console._press import BEAT_PERIOD, beat_of
 from pcmrs.console._recordings import Recordings
 from pcmrs.console._surfaces import Surfaces
 from pcmrs.console._timeline import TimelinePanel
@@ -39,7 +40,7 @@ STYLE = """
 .state-chart svg { max-width: 100%; height: auto; }
 .replay { background: repeating-linear-gradient(135deg, #ede7f6 0 18px, #d1c4e9 18px 36px); min-height: 52px; }
 body { --head: 64px; touch-action: pan-x pan-y; }
-.head { height: var(--head); overflow: hidden; align-content: center; }
+.head { height: var(--head); overflow: hidden; align-content: center; z-index: 6500 !important; }
 .head > * { flex-shrink: 0; white-space: nowrap; }
 .head .caption { font-size: 12px; line-height: 1.1; }
 .head .figure { font-size: 34px; line-height: 40px; }
@@ -55,7 +56,10 @@ body { --head: 64px; touch-action: pan-x pan-y; }
   .halves > .q-splitter__separator > div { inset: 0; }
 }
 """
-"""Two fingers do not zoom the page: that would move Stop out of sight. A narrow page has two rows in its head."""
+"""Two fingers do not zoom the page: that would move Stop out of sight. A narrow page has two rows in its head.
+
+The head is above dialogs and menus, which Quasar puts at 6000: none of them may cover Stop.
+"""
 IS_NARROW = "Quasar.Screen.lt.md"
 """The browser reports a width below 1024 pixels. An upright tablet has the halves one above the other."""
 
@@ -92,6 +96,7 @@ class Page:
         self._actions = PageActions(texts, self._dialogs, lambda: feed.now, consent)
         self._asking = Asking(self._view, setup, self._sender, self._actions)
         self._versions = (-1, -1)
+        self._browser = ui.context.client
         ui.add_css(STYLE)
         ui.add_css(BUTTON_STYLE)
         ui.add_body_html(f"<script>{HOLD_SCRIPT.read_text(encoding='utf-8')}</script>")
@@ -115,6 +120,7 @@ class Page:
                 self._next = NextPanel(self._view, blueprint, self._actions, self._asking, self._open_planning)
                 self._right(recordings)
         ui.timer(REFRESH_PERIOD, self._refresh)
+        ui.timer(BEAT_PERIOD, self._send_beat)
 
     @property
     def _is_playback(self) -> bool:
@@ -225,6 +231,10 @@ class Page:
             why_not = self._feed.trouble
         return {name: replace(each, why_not=why_not or each.why_not) for name, each in choices.items()}
 
+    def _send_beat(self) -> None:
+        """Send the time to the browser, which returns it with each press: a press that waited is void."""
+        self._browser.run_javascript(f'pcmrsPresses.beat("{beat_of(self._feed.now)}")')
+
     async def _hold(self) -> None:
         shown = self._feed.snapshot
         if shown is None:
@@ -242,7 +252,8 @@ class Page:
     async def _escaped(self, event: events.KeyEventArguments) -> None:
         if not event.action.keydown or event.key.name != "Escape":
             return
-        if self._escape.stops(self._feed.snapshot, dialog=bool(self._dialogs)):
+        shown = None if self._feed.client is None else self._feed.snapshot
+        if self._escape.stops(shown, dialog=bool(self._dialogs)):
             await self._sender.stop()
         else:
             self._dialogs.close_newest()

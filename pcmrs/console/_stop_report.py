@@ -40,17 +40,23 @@ def stop_report(
     """
     if not shown.latched:
         return None
-    known = [event for _, event in events]
     number, by, why = shown.stop.number, "", ""
-    for event in known:
-        if isinstance(event, DeviceEvent) and event.danger and event.fields.get("stop") == number:
+    ended: list[Verdict] = []
+    for _, event in events:
+        if isinstance(event, Verdict):
+            if _was_ended(event, why):
+                ended.append(event)
+        elif event.danger and event.fields.get("stop") == number:
             by, why = event.device, event.text
-    ended = (each for each in known if isinstance(each, Verdict) and _was_ended(each, why))
     stopped = tuple(dict.fromkeys(f"{each.branch}.{each.operation}" for each in ended))
     return StopReport(number, by, why, stopped, tuple(_checks(shown, blueprint, stopped)))
 
 
 def _was_ended(verdict: Verdict, why: str) -> bool:
+    """Return true for a verdict by the Stop with this text; the caller looks only at those after that Stop.
+
+    An earlier Stop of the same user has the same text.
+    """
     return verdict.decision in ("failed", "unknown") and verdict.reason is not None and verdict.reason.text == why != ""
 
 

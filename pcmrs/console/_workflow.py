@@ -78,8 +78,7 @@ class WorkflowPanel:
             label.set_text(self._blueprint.branches[branch].states[state])
             label.props(f'data-state="{state}"')
         for name, choice in choices.items():
-            meaning = "" if choice.why_not else f"{name} {choice.stop}" if choice.stop is not None else name
-            self._buttons[name].refresh(ButtonState(choice.title, meaning, choice.why_not, name, choice.moves))
+            self._buttons[name].refresh(ButtonState(choice.title, choice.meaning, choice.why_not, name, choice.moves))
         self._residuals.refresh()
         self._unknown.clear()
         with self._unknown:

@@ -88,7 +88,7 @@ class Operator:
 
     def patience(self, name: str) -> int:
         """Waits until a button of an operation has settled, and returns for how long it is to be held, ms."""
-        if "." not in name and name not in ("next", "send-form"):
+        if "." not in name and name not in ("next", "send-form", "move-now", "looked"):
             return 0
         self.page.wait_for_timeout(1000.0 * SETTLING_TIME + 200.0)
         return HOLD_MS if self.at(name).get_attribute("data-hold") is not None else 0

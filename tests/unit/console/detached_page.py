@@ -18,6 +18,7 @@ from pcmrs.console._action_button import PageActions
 from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console._dialogs import Dialogs
 from pcmrs.console._meaning import SETTLING_TIME
+from pcmrs.console._press import beat_of
 from pcmrs.console.settings import MotionConsent
 from pcmrs.console.texts import Texts
 from pcmrs.testing.clock import settle
@@ -40,7 +41,7 @@ class Hands:
 
     def look(self) -> None:
         """Lets so much time pass that buttons have settled."""
-        self.now += SETTLING_TIME
+        self.now += SETTLING_TIME + 0.01
 
 
 class DetachedPage:
@@ -89,24 +90,44 @@ class DetachedPage:
         """Clicks on the element with this ``data-testid``, and waits for what follows."""
         await self._click(self.at(name))
 
-    async def press_around(self, name: str) -> None:
-        """Clicks on what is around the element: it gets the click although the element is disabled."""
-        await self._click(self.at(name).parent_slot.parent)
+    async def press_around(self, name: str, meaning: str | None = None, *, age: float = 0.0) -> None:
+        """Clicks on what is around the element: it gets the click although the element is disabled.
 
-    async def hold(self, name: str, meaning: str | None = None) -> None:
+        Args:
+            name: Its ``data-testid``.
+            meaning: What the button meant when it was pressed; what it means now by default.
+            age: Age of the report, s.
+        """
+        await self._press(name, "click", meaning, age)
+
+    async def hold(self, name: str, meaning: str | None = None, *, age: float = 0.0) -> None:
         """Presses and holds a button, as the browser reports it: with what it meant when it was pressed."""
+        if meaning is not None or "data-hold" in self.at(name).props:
+            await self._press(name, "held", meaning, age)
+
+    async def _press(self, name: str, kind: str, meaning: str | None, age: float) -> None:
         button = self.at(name)
-        detail = button.props.get("data-hold") if meaning is None else meaning
-        if detail is not None:
-            await self._happen(button.parent_slot.parent, "held", {"detail": detail})
+        around = button.parent_slot.parent
+        handler: Any = next(each.handler for each in around._event_listeners.values() if each.type == kind)
+        beat = beat_of(handler.__self__._actions.now() - age)
+        press = {"meaning": button.props["data-meaning"] if meaning is None else meaning, "beat": beat}
+        await self.happen(around, kind, {"detail": press} if kind == "held" else press)
 
     async def _click(self, element: Element) -> None:
-        await self._happen(element, "click", [])
+        await self.happen(element, "click", [])
 
-    async def _happen(self, element: Element, kind: str, args: Any) -> None:
+    async def happen(self, element: Element, kind: str, *reports: Any) -> None:
+        """Let events of one kind arrive at an element, one directly after another, and wait for what follows.
+
+        Args:
+            element: The element.
+            kind: Kind of the events.
+            reports: What the browser reports for each.
+        """
         core.loop = asyncio.get_running_loop()
-        for listener in [each for each in element._event_listeners.values() if each.type == kind]:
-            handle_event(listener.handler, GenericEventArguments(sender=element, client=self.client, args=args))
+        for args in reports:
+            for listener in [each for each in element._event_listeners.values() if each.type == kind]:
+                handle_event(listener.handler, GenericEventArguments(sender=element, client=self.client, args=args))
         await settle()
 
     async def tick(self) -> None:

@@ -6,6 +6,7 @@ import pytest
 from nicegui import ui
 
 from pcmrs.console._action_button import ActionButton, ButtonState
+from pcmrs.console._press import LATE
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, Hands
 
 ASK = ButtonState("Register", "register")
@@ -79,7 +80,7 @@ async def test_a_motion_is_confirmed_in_a_dialog(page: DetachedPage, settled: bo
     assert page.says(ENGLISH("moves_arm"))
     if settled:
         hands.look()
-    await page.press("move-now")
+    await page.press_around("move-now")
     assert act.count == settled
     assert bool(hands.actions.dialogs) == (not settled)
     hands.actions.dialogs.close_newest()
@@ -92,7 +93,7 @@ async def test_a_confirmation_of_another_meaning_is_worth_nothing(page: Detached
     await page.press_around("it")
     button.refresh(ButtonState("Confirm", "confirm", moves=True))
     hands.look()
-    await page.press("move-now")
+    await page.press_around("move-now")
     assert act.count == 0
 
 
@@ -105,3 +106,39 @@ async def test_a_disabled_button_says_why(page: DetachedPage) -> None:
     await page.hold("it", "")
     assert (act.count, page.notified) == (0, ["Not registered."])
     assert isinstance(page.at("it"), ui.button)
+
+
+async def test_a_click_counts_for_the_meaning_at_the_press(page: DetachedPage) -> None:
+    hands = Hands()
+    _, act = made(page, hands, ASK)
+    hands.look()
+    await page.press_around("it", "plan")
+    await page.press_around("it", "")
+    assert act.count == 0
+    await page.press_around("it", "register")
+    assert act.count == 1
+
+
+async def test_a_late_press_does_nothing_and_says_so(page: DetachedPage) -> None:
+    hands = Hands("hold")
+    button, act = made(page, hands, MOVE)
+    hands.look()
+    await page.hold("it", age=LATE + 0.01)
+    button.refresh(ASK)
+    hands.look()
+    await page.press_around("it", age=15.0)
+    assert (act.count, page.notified) == (0, [ENGLISH("late_press")] * 2)
+    await page.press_around("it", age=0.9)
+    assert act.count == 1
+
+
+async def test_a_late_confirmation_is_worth_nothing(page: DetachedPage) -> None:
+    hands = Hands("confirm")
+    _, act = made(page, hands, MOVE)
+    hands.look()
+    await page.press_around("it")
+    hands.look()
+    await page.press_around("move-now", age=15.0)
+    assert act.count == 0
+    await page.press_around("move-now")
+    assert act.count == 1

@@ -76,7 +76,7 @@ async def test_a_placement_says_by_what_noise_it_counts(page: DetachedPage) -> N
 async def test_an_unknown_outcome_is_no_verdict_but_is_shown(page: DetachedPage) -> None:
     with page.client:
         assert await sender(Daemon(UnknownOutcomeError("It is silent."))).ask("robot.connect", {}) is None
-    assert page.notified == ["It is silent."]
+    assert page.notified == [f"It is silent. {ENGLISH('unknown_look')}"]
 
 
 async def test_without_daemon_nothing_is_sent_and_the_reason_shown(page: DetachedPage) -> None:

@@ -109,3 +109,20 @@ async def test_a_newer_stop_is_not_released_by_a_press_for_another(page: Detache
     it.see(replace(stopped, stop=StopState(number=8)))
     await page.press_around("next")
     assert it.sender.sent == []
+
+
+async def test_a_motion_to_another_plan_is_another_meaning(page: DetachedPage) -> None:
+    it = Shown(page)
+    ready = replace(shown(**REGISTERED, robot="1", placement="retracted"), plan="a", registration="r")
+    it.see(ready)
+    it.hands.look()
+    held = page.at("next").props["data-meaning"]
+    for changed in ({"plan": "b"}, {"registration": "s"}, {"stop": StopState(number=1)}):
+        it.see(replace(ready, **changed))
+        it.hands.look()
+        await page.hold("next", held)
+    assert it.sender.sent == []
+    it.see(ready)
+    it.hands.look()
+    await page.hold("next", held)
+    assert it.sender.sent == [("placement.approach", {})]

@@ -115,6 +115,19 @@ async def test_escape_closes_a_dialog_unless_something_is_at_stake(page: Detache
     assert (cell.stops, has(page, "which-landmark")) == (2, True)
 
 
+async def test_escape_is_stop_in_a_dialog_without_the_daemon(page: DetachedPage) -> None:
+    """The last state is old: the arm may move by now."""
+    cell = Cell()
+    cell.snapshot = replace(START, branches=START.branches | {"registration": "100"})
+    await opened(page, cell)
+    cell.now = SETTLING_TIME
+    await page.press_around("digitization.reuse_previous_except")
+    cell.client, cell.trouble = None, "The cable is cut."
+    await key(page, "Escape")
+    assert has(page, "which-landmark")
+    assert page.notified == [ENGLISH("unreachable", why="The cable is cut.")]
+
+
 async def test_the_next_step_is_on_the_page_whatever_tab_is_open(page: DetachedPage) -> None:
     cell = Cell()
     await opened(page, cell)

@@ -60,3 +60,15 @@ def test_a_stop_before_the_console_started_has_its_number() -> None:
     assert report is not None
     assert (report.number, report.by, report.stopped) == (7, "", ())
     assert stop_report(replace(LATCHED, latched=False), [], BLUEPRINT) is None
+
+
+def test_an_earlier_stop_of_the_same_user_is_not_reported() -> None:
+    events: list[Verdict | DeviceEvent] = [
+        pressed(6, "bus:anna"),
+        ended("placement", "home", "Stopped by bus:anna."),
+        pressed(7, "bus:anna"),
+        ended("placement", "approach", "Stopped by bus:anna."),
+    ]
+    report = stop_report(LATCHED, [(0.0, event) for event in events], BLUEPRINT)
+    assert report is not None
+    assert report.stopped == ("placement.approach",)
