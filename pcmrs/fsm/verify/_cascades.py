@@ -76,7 +76,7 @@ class Cascades:
             known = known.below.get(now[known.branch])
         if known is None:
             known = self._follow(
-                blueprint, lambda order: follow_cascade(order, states, branch, operation, ending, spec, ask)
+                blueprint, branch, lambda order: follow_cascade(order, states, branch, operation, ending, spec, ask)
             )
             self._remember(start, known)
         self.followed.append(known)
@@ -85,14 +85,17 @@ class Cascades:
             raise DeniedError(known.end)
         return known.end
 
-    def _follow(self, blueprint: Blueprint, follow: Callable[[Blueprint], Change]) -> FollowedCascade:
-        """Follow a cascade in all orders of the branches, and note what it depends on."""
+    def _follow(self, blueprint: Blueprint, branch: str, follow: Callable[[Blueprint], Change]) -> FollowedCascade:
+        """Follow a cascade of a branch in all orders of the branches, and note what else it depends on."""
         before, self._observer.seen = self._observer.seen, {}
         end = _end_of(follow, blueprint)
         seen, self._observer.seen = self._observer.seen, {}
         others = [_end_of(follow, order) for order in self._reordered] if _has_sequel(end) else []
         ordered = any(_result(each) != _result(end) for each in others)
         also_seen, self._observer.seen = self._observer.seen, before
+        # The state of the branch itself is part of the start. A target by source looks at it, another one does not.
+        seen.pop(branch, None)
+        also_seen.pop(branch, None)
         return FollowedCascade(end, seen, also_seen, ordered)
 
     def _remember(self, start: object, found: FollowedCascade) -> None:
