@@ -37,7 +37,6 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
 
 def pointer_to(operator: Operator, name: str) -> None:
     """Move the mouse to the middle of a button, whatever covers it."""
-    operator.at(name).scroll_into_view_if_needed()
     box = operator.at(name).bounding_box()
     assert box is not None
     operator.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
