@@ -60,6 +60,11 @@ def test_the_round_trip_of_a_correction_is_measured() -> None:
     assert "round trip" in measured("planning.py", "3")
 
 
+@pytest.mark.timeout(120)
+def test_intrusions_are_searched_for() -> None:
+    assert "intrusions found: 2 of 2" in measured("scene.py", "2", "20")
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", WITH_DAEMONS)

@@ -19,6 +19,8 @@ Play = Callable[[Endpoint, Endpoint, list[tuple[str, int]]], Awaitable[None]]
 def with_lane(play: Play, *, coded: bool = False) -> None:
     """Play with an operator, a process with a lane, and its Stops: source and number of presses."""
 
+    others = set(threading.enumerate())
+
     async def run() -> None:
         network = Network(asyncio.get_running_loop(), 1, coded=coded)
         operator, daemon = network.endpoint("operator"), network.endpoint("daemon")
@@ -35,7 +37,7 @@ def with_lane(play: Play, *, coded: bool = False) -> None:
         before = list(stops)
         await asyncio.sleep(1.0)
         assert stops == before, "the lane has ended"
-        assert "pcmrs-stop" not in {thread.name for thread in threading.enumerate()}
+        assert "pcmrs-stop" not in {thread.name for thread in set(threading.enumerate()) - others}
 
     run_on_simulated_loop(run())
 
