@@ -57,6 +57,10 @@ FLAWS = """() => {
 }"""
 
 
+OPENED = "() => ![...document.querySelectorAll('.q-expansion-item__content')].some(each => each.style.height)"
+"""Nothing is being unfolded, which takes a moment."""
+
+
 class Finger(Operator):
     """Whoever taps and drags."""
 
@@ -87,6 +91,7 @@ class Finger(Operator):
     def finds_no_flaw(self) -> None:
         for tab in TABS:
             self.open(tab)
+            self.page.wait_for_function(OPENED)
             assert self.page.evaluate(FLAWS) == []
         self.open("planning")
         self.choose_tool()
