@@ -66,6 +66,9 @@ def state(address: list[str]) -> dict[str, Any]:
     return shown
 
 
+UNFOLDED = "() => ![...document.querySelectorAll('.q-expansion-item__content')].some(each => each.style.height)"
+
+
 class Operator:
     """Whoever clicks."""
 
@@ -99,6 +102,11 @@ class Operator:
     def more(self) -> None:
         """Opens what is offered besides the next step."""
         self.at("more").get_by_role("button").first.click()
+        self.unfolded()
+
+    def unfolded(self) -> None:
+        """Waits until nothing is being unfolded, which would move what is pointed at."""
+        self.page.wait_for_function(UNFOLDED)
 
     def shows(self, name: str, text: str) -> None:
         self.expect(self.at(name)).to_contain_text(text, timeout=60_000)

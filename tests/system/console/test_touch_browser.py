@@ -57,10 +57,6 @@ FLAWS = """() => {
 }"""
 
 
-OPENED = "() => ![...document.querySelectorAll('.q-expansion-item__content')].some(each => each.style.height)"
-"""Nothing is being unfolded, which takes a moment."""
-
-
 class Finger(Operator):
     """Whoever taps and drags."""
 
@@ -70,6 +66,7 @@ class Finger(Operator):
 
     def more(self) -> None:
         self.at("more").get_by_role("button").first.tap()
+        self.unfolded()
 
     def open(self, tab: str) -> None:
         self.at(f"tab-{tab}").tap()
@@ -91,7 +88,7 @@ class Finger(Operator):
     def finds_no_flaw(self) -> None:
         for tab in TABS:
             self.open(tab)
-            self.page.wait_for_function(OPENED)
+            self.unfolded()
             assert self.page.evaluate(FLAWS) == []
         self.open("planning")
         self.choose_tool()
